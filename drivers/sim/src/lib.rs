@@ -1,0 +1,1 @@
+//! One deterministic blinking sample and the two cameras looking at it.

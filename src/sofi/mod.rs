@@ -1,0 +1,1 @@
+//! Pure mathematics of the paper, one file per step.
