@@ -1,0 +1,175 @@
+//! From running sums to cumulants (Eq. 2, S2, S4): the only place where sums are divided by the number of samples.
+//!
+//! For every set of a sub-position the joint cumulant follows from the raw moments of its subsets,
+//! `kappa(S) = m(S) - sum over A of kappa(A) m(S \ A)`, A running over the proper subsets that hold S's first pixel.
+//!
+//! In: sums of a subsequence. Out: cumulants, means and variances of one band, in `f64`.
+
+use super::algebra::{LANES, Lanes, Polynomial};
+use super::layout::{Layout, for_each_register, load_row};
+use super::moments::RunMoments;
+use super::plan::{PlacedSet, Plan};
+
+/// Number of result planes: cumulants by sub-position and spectral channel, then means, then variances.
+pub(super) fn result_planes(plan: &Plan) -> usize {
+    plan.accumulators(plan.order) + 2 * plan.algebra.channels()
+}
+
+/// Adds `weight` times every result of a subsequence to the results of one band.
+pub(super) fn add_results(
+    plan: &Plan,
+    layout: &Layout,
+    moments: &RunMoments,
+    weight: f64,
+    band: usize,
+    results: &mut [f32],
+) {
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            let mut scratch = Scratch::new(plan);
+            let plane = layout.plane_len(band);
+            for_each_register(layout, band, |y, x, place| {
+                let mut add = |result: usize, values: &Lanes| {
+                    let start = result * plane + place;
+                    for (sum, value) in results[start..start + LANES].iter_mut().zip(values) {
+                        *sum += (weight * value) as f32;
+                    }
+                };
+                cumulants(plan, layout, moments, (y, x), &mut scratch, &mut add);
+                means_and_variances(plan, layout, moments, (y, x), &mut add);
+            });
+        },
+    );
+}
+
+/// Polynomials of one register of pixels, by bit mask over the elements of a set.
+struct Scratch {
+    moments: Vec<Polynomial>,
+    cumulants: Vec<Polynomial>,
+    total: Polynomial,
+}
+
+impl Scratch {
+    fn new(plan: &Plan) -> Self {
+        let of_mask = |mask: usize| vec![[0.0; LANES]; plan.algebra.coefficients(mask.count_ones() as usize)];
+        let all: Vec<Polynomial> = (0..1 << plan.order).map(of_mask).collect();
+        let total = vec![[0.0; LANES]; plan.algebra.coefficients(plan.order)];
+        Self { moments: all.clone(), cumulants: all, total }
+    }
+}
+
+#[inline(always)]
+fn cumulants(
+    plan: &Plan,
+    layout: &Layout,
+    moments: &RunMoments,
+    (y, x): (i64, i64),
+    scratch: &mut Scratch,
+    add: &mut impl FnMut(usize, &Lanes),
+) {
+    let per_sample = 1.0 / moments.samples as f64;
+    for term in &plan.groups[plan.order] {
+        for (coefficient, total) in scratch.total.iter_mut().enumerate() {
+            *total =
+                moments.sums(layout, plan.order, term.first + coefficient, y, x).map(|sum| sum * per_sample);
+        }
+        for set in &term.sets {
+            load_moments(plan, layout, moments, set, (y, x), &mut scratch.moments);
+            subtract_products_of_subsets(plan, scratch);
+        }
+        for (coefficient, total) in scratch.total.iter().enumerate() {
+            let ways =
+                if plan.symmetric() { plan.algebra.multiplicity(plan.order, coefficient) } else { 1.0 };
+            let share = 1.0 / (ways * term.sets.len() as f64);
+            add(term.first + coefficient, &total.map(|value| value * share));
+        }
+    }
+}
+
+#[inline(always)]
+fn load_moments(
+    plan: &Plan,
+    layout: &Layout,
+    moments: &RunMoments,
+    set: &PlacedSet,
+    (y, x): (i64, i64),
+    loaded: &mut [Polynomial],
+) {
+    let per_sample = 1.0 / moments.samples as f64;
+    for (mask, place) in set.subsets.iter().enumerate().skip(1) {
+        let size = mask.count_ones() as usize;
+        let (y, x) = place.seen_from(y, x);
+        for (coefficient, moment) in loaded[mask].iter_mut().enumerate().take(plan.algebra.coefficients(size))
+        {
+            *moment = moments.sums(layout, size, place.first + coefficient, y, x).map(|sum| sum * per_sample);
+        }
+    }
+}
+
+/// Takes one set's lower-order products off the total, which starts as the sum of the full products of all sets.
+#[inline(always)]
+fn subtract_products_of_subsets(plan: &Plan, scratch: &mut Scratch) {
+    let Scratch { moments, cumulants, total } = scratch;
+    let full = (1usize << plan.order) - 1;
+    if !plan.symmetric() {
+        return subtract_ordered_products(&moments[1], &moments[2], total);
+    }
+    for mask in (1..full).step_by(2) {
+        let (smaller, rest) = cumulants.split_at_mut(mask);
+        rest[0].clone_from(&moments[mask]);
+        subtract_proper_subsets(plan, mask, smaller, moments, &mut rest[0]);
+    }
+    subtract_proper_subsets(plan, full, cumulants, moments, total);
+}
+
+/// `kappa -= sum over A of kappa(A) m(mask \ A)`, A running over proper subsets of `mask` that hold element 0.
+#[inline(always)]
+fn subtract_proper_subsets(
+    plan: &Plan,
+    mask: usize,
+    cumulants: &[Polynomial],
+    moments: &[Polynomial],
+    kappa: &mut [Lanes],
+) {
+    for part in (1..mask).step_by(2).filter(|part| part & !mask == 0) {
+        let left_out = mask & !part;
+        let size = |mask: usize| mask.count_ones() as usize;
+        let (cumulant, moment) =
+            ((&cumulants[part][..], size(part)), (&moments[left_out][..], size(left_out)));
+        plan.algebra.add_product(cumulant, moment, -1.0, kappa);
+    }
+}
+
+/// Pairs whose first pixel is from the first channel: RR, RT and TT without TR.
+fn subtract_ordered_products(first: &[Lanes], second: &[Lanes], total: &mut [Lanes]) {
+    for (total, (a, b)) in total.iter_mut().zip([(0, 0), (0, 1), (1, 1)]) {
+        (0..LANES).for_each(|lane| total[lane] -= first[a][lane] * second[b][lane]);
+    }
+}
+
+#[inline(always)]
+fn means_and_variances(
+    plan: &Plan,
+    layout: &Layout,
+    moments: &RunMoments,
+    (y, x): (i64, i64),
+    add: &mut impl FnMut(usize, &Lanes),
+) {
+    let channels = plan.algebra.channels();
+    let (first, per_sample) = (plan.accumulators(plan.order), 1.0 / moments.samples as f64);
+    for channel in 0..channels {
+        let sums = moments.sums(layout, 1, channel, y, x);
+        let squares = moments.sums(layout, 0, channel, y, x);
+        let start = y as usize * layout.stride;
+        let reference = load_row(&moments.reference(channel)[start..start + layout.stride], x);
+        add(first + channel, &std::array::from_fn(|lane| reference[lane] + sums[lane] * per_sample));
+        add(
+            first + channels + channel,
+            &std::array::from_fn(|lane| {
+                let mean = sums[lane] * per_sample;
+                (squares[lane] * per_sample - mean * mean).max(0.0)
+            }),
+        );
+    }
+}

@@ -1,0 +1,399 @@
+//! Running sums of one subsequence: raw moments about a reference near the mean.
+//!
+//! Sums are kept in `f32` for at most [`CHUNK`] samples and then moved to `f64`, so that neither the length of a
+//! subsequence nor the camera offset costs precision. The reference is the first exposure; after
+//! [`SAMPLES_BEFORE_RECENTERING`] samples the sums are moved, exactly, to the mean so far.
+//!
+//! In: blocks of samples. Out: sums in `f64`. Never: depends on how the samples were blocked.
+
+use super::algebra::{LANES, Lanes};
+use super::kernel::{Block, Count, Planes, accumulate};
+use super::layout::{Layout, for_each_register, load_row};
+use super::plan::{PlacedSet, Plan};
+use super::workers::Workers;
+
+/// Samples that an `f32` sum takes before it is moved to `f64`.
+pub(super) const CHUNK: u64 = 256;
+
+/// Samples after which the reference moves from the first exposure to the mean so far.
+const SAMPLES_BEFORE_RECENTERING: u64 = 16;
+
+/// Accumulators by group, then band; see [`Layout`] and [`Plan::groups`].
+type Groups<T> = Vec<Vec<Vec<T>>>;
+
+/// The running sums of one subsequence.
+#[derive(Debug, Clone)]
+pub(super) struct RunMoments {
+    /// Number of the subsequence: exposure index divided by its length.
+    pub(super) run: u64,
+    /// Samples in the sums.
+    pub(super) samples: u64,
+    /// First exposure that this state could have seen.
+    pub(super) begin: u64,
+    /// One past the last exposure that has been seen or is known to be lost.
+    pub(super) end: u64,
+    reference: Vec<Vec<f32>>,
+    chunk: Groups<f32>,
+    long: Option<Groups<f64>>,
+}
+
+impl RunMoments {
+    /// State for subsequences of at most `longest` samples.
+    pub(super) fn new(plan: &Plan, layout: &Layout, longest: u64) -> Self {
+        let zeroed = |group: usize| layout.zeroed(plan.accumulators(group));
+        Self {
+            run: 0,
+            samples: 0,
+            begin: 0,
+            end: 0,
+            reference: vec![vec![0.0; layout.height * layout.stride]; plan.algebra.channels()],
+            chunk: (0..=plan.order).map(zeroed).collect(),
+            long: (longest > CHUNK)
+                .then(|| (0..=plan.order).map(|group| layout.zeroed(plan.accumulators(group))).collect()),
+        }
+    }
+
+    /// Empties the state for another subsequence, keeping its memory.
+    pub(super) fn restart(&mut self, run: u64, begin: u64) {
+        (self.run, self.samples, self.begin, self.end) = (run, 0, begin, begin);
+        self.chunk.iter_mut().flatten().for_each(|sums| sums.fill(0.0));
+        self.long.iter_mut().flatten().flatten().for_each(|sums| sums.fill(0.0));
+    }
+
+    /// Bytes of this state.
+    pub(super) fn bytes(&self) -> usize {
+        let long = self.long.iter().flatten().flatten().map(|sums| sums.len() * size_of::<f64>());
+        let chunk = self.chunk.iter().flatten().map(|sums| sums.len() * size_of::<f32>());
+        let reference = self.reference.iter().map(|plane| plane.len() * size_of::<f32>());
+        long.chain(chunk).chain(reference).sum()
+    }
+
+    /// Adds samples in the order of time.
+    pub(super) fn add<T: Count>(
+        &mut self,
+        workers: &impl Workers,
+        plan: &Plan,
+        layout: &Layout,
+        mut samples: &[Planes<'_, T>],
+    ) {
+        if let (0, Some(first)) = (self.samples, samples.first()) {
+            self.refer_to_frame(layout, first);
+        }
+        while !samples.is_empty() {
+            let (now, later) = samples.split_at(samples.len().min(self.until_next_step() as usize));
+            let block = Block { plan, layout: *layout, reference: &self.reference, samples: now };
+            let mut bands = bands_of(&mut self.chunk);
+            workers.for_each(&mut bands, |band, sums| accumulate(&block, band, sums));
+            self.samples += now.len() as u64;
+            if self.samples == SAMPLES_BEFORE_RECENTERING {
+                self.recenter(workers, plan, layout);
+            }
+            if self.samples.is_multiple_of(CHUNK) {
+                self.flush(workers);
+            }
+            samples = later;
+        }
+    }
+
+    /// Samples until the sums are next moved in reference or precision.
+    fn until_next_step(&self) -> u64 {
+        if self.samples < SAMPLES_BEFORE_RECENTERING {
+            SAMPLES_BEFORE_RECENTERING - self.samples
+        } else {
+            CHUNK - self.samples % CHUNK
+        }
+    }
+
+    fn refer_to_frame<T: Count>(&mut self, layout: &Layout, planes: &Planes<'_, T>) {
+        for (reference, frame) in self.reference.iter_mut().zip(planes) {
+            for (line, pixels) in
+                reference.chunks_exact_mut(layout.stride).zip(frame.chunks_exact(layout.width))
+            {
+                line.iter_mut().zip(pixels).for_each(|(reference, pixel)| *reference = pixel.counts());
+            }
+        }
+    }
+
+    /// Moves the reference to the mean so far, in whole counts so that differences of counts stay exact.
+    fn recenter(&mut self, workers: &impl Workers, plan: &Plan, layout: &Layout) {
+        let mut shifts = self.reference.clone();
+        for (channel, shift) in shifts.iter_mut().enumerate() {
+            for (y, line) in shift.chunks_exact_mut(layout.stride).enumerate() {
+                for x in (0..layout.stride).step_by(LANES) {
+                    let sums = layout.load(&self.chunk[1], channel, y as i64, x as i64);
+                    for lane in 0..LANES {
+                        let inside = x + lane < layout.width;
+                        let mean = (sums[lane] / self.samples as f64).round();
+                        line[x + lane] = if inside { mean as f32 } else { 0.0 };
+                    }
+                }
+            }
+        }
+        shift_sums(&mut self.chunk, workers, plan, layout, &shifts, self.samples);
+        for (reference, shift) in self.reference.iter_mut().zip(&shifts) {
+            reference.iter_mut().zip(shift).for_each(|(reference, shift)| *reference += shift);
+        }
+    }
+
+    /// Moves the `f32` sums into the `f64` ones, where there are any.
+    fn flush(&mut self, workers: &impl Workers) {
+        let Some(long) = &mut self.long else { return };
+        for (chunk, long) in self.chunk.iter_mut().zip(long) {
+            let mut pairs: Vec<_> = chunk.iter_mut().zip(long).collect();
+            workers.for_each(&mut pairs, |_, (chunk, long)| {
+                for (small, large) in chunk.iter_mut().zip(long.iter_mut()) {
+                    *large += f64::from(std::mem::take(small));
+                }
+            });
+        }
+    }
+
+    /// Adds the sums of a later part of the same subsequence, moved to this state's reference.
+    pub(super) fn merge(&mut self, later: &Self, workers: &impl Workers, plan: &Plan, layout: &Layout) {
+        (self.run, self.end) = (later.run, later.end);
+        let mut later = later.clone();
+        if self.samples == 0 {
+            (self.samples, self.reference) = (later.samples, later.reference);
+            (self.chunk, self.long) = (later.chunk, later.long);
+            return;
+        }
+        let shifts: Vec<Vec<f32>> = self
+            .reference
+            .iter()
+            .zip(&later.reference)
+            .map(|(ours, theirs)| ours.iter().zip(theirs).map(|(ours, theirs)| ours - theirs).collect())
+            .collect();
+        self.flush(workers);
+        later.flush(workers);
+        match (&mut self.long, &mut later.long) {
+            (Some(ours), Some(theirs)) => {
+                shift_sums(theirs, workers, plan, layout, &shifts, later.samples);
+                add_all(ours, theirs);
+            }
+            _ => {
+                shift_sums(&mut later.chunk, workers, plan, layout, &shifts, later.samples);
+                add_all(&mut self.chunk, &later.chunk);
+            }
+        }
+        self.samples += later.samples;
+    }
+
+    /// Sums of one accumulator for neighboring pixels, in `f64`; zero outside the camera region.
+    #[inline(always)]
+    pub(super) fn sums(&self, layout: &Layout, group: usize, accumulator: usize, y: i64, x: i64) -> Lanes {
+        let mut sums = layout.load(&self.chunk[group], accumulator, y, x);
+        if let Some(long) = &self.long {
+            let long = layout.load(&long[group], accumulator, y, x);
+            (0..LANES).for_each(|lane| sums[lane] += long[lane]);
+        }
+        sums
+    }
+
+    /// Reference of one channel, counts.
+    pub(super) fn reference(&self, channel: usize) -> &[f32] {
+        &self.reference[channel]
+    }
+}
+
+/// The groups of every band, for work on one band at a time.
+fn bands_of(groups: &mut Groups<f32>) -> Vec<Vec<&mut [f32]>> {
+    let mut bands: Vec<Vec<&mut [f32]>> = Vec::new();
+    for group in groups {
+        bands.resize_with(group.len(), Vec::new);
+        bands.iter_mut().zip(group).for_each(|(band, sums)| band.push(sums));
+    }
+    bands
+}
+
+fn add_all<T: Copy + std::ops::AddAssign>(ours: &mut Groups<T>, theirs: &Groups<T>) {
+    for (ours, theirs) in ours.iter_mut().flatten().zip(theirs.iter().flatten()) {
+        ours.iter_mut().zip(theirs).for_each(|(ours, theirs)| *ours += *theirs);
+    }
+}
+
+/// A stored sum.
+trait Sum: Copy + Default + Into<f64> + Send + Sync {
+    fn rounded(value: f64) -> Self;
+}
+
+impl Sum for f32 {
+    fn rounded(value: f64) -> Self {
+        value as Self
+    }
+}
+
+impl Sum for f64 {
+    fn rounded(value: f64) -> Self {
+        value
+    }
+}
+
+/// Moves sums of `samples` samples to a reference that is larger by `shifts` (binomial theorem, per pixel of a tuple).
+///
+/// The sum of a tuple about the new reference is the sum over all its subsets of their old sums times the
+/// negative shifts of the pixels left out. Groups go from large to small, as each needs the old smaller ones.
+fn shift_sums<T: Sum>(
+    groups: &mut Groups<T>,
+    workers: &impl Workers,
+    plan: &Plan,
+    layout: &Layout,
+    shifts: &[Vec<f32>],
+    samples: u64,
+) {
+    for degree in
+        (1..=plan.order).rev().flat_map(|degree| if degree == 1 { vec![0, 1] } else { vec![degree] })
+    {
+        let (before, rest) = groups.split_at_mut(degree.max(1));
+        let shift = Shift { plan, layout, shifts, samples: samples as f64 };
+        if degree == 0 {
+            workers.for_each(&mut before[0], |band, sums| shift.squares(&rest[0], band, sums));
+        } else {
+            workers.for_each(&mut rest[0], |band, sums| shift.terms(before, degree, band, sums));
+        }
+    }
+}
+
+/// One change of reference.
+struct Shift<'a> {
+    plan: &'a Plan,
+    layout: &'a Layout,
+    shifts: &'a [Vec<f32>],
+    samples: f64,
+}
+
+impl Shift<'_> {
+    fn squares<T: Sum>(&self, first_moments: &[Vec<T>], band: usize, squares: &mut [T]) {
+        for channel in 0..self.plan.algebra.channels() {
+            let squares = &mut squares[channel * self.layout.plane_len(band)..];
+            for_each_register(self.layout, band, |y, x, place| {
+                let sums = self.layout.load(first_moments, channel, y, x);
+                let shift = self.shift(channel, y, x);
+                for lane in 0..LANES {
+                    let moved = (self.samples * shift[lane] - 2.0 * sums[lane]) * shift[lane];
+                    squares[place + lane] = T::rounded(squares[place + lane].into() + moved);
+                }
+            });
+        }
+    }
+
+    fn terms<T: Sum>(&self, smaller: &[Vec<Vec<T>>], degree: usize, band: usize, sums: &mut [T]) {
+        let coefficients = self.plan.algebra.coefficients(degree);
+        let mut moved = Products::default();
+        for term in &self.plan.groups[degree] {
+            for set in &term.sets {
+                for_each_register(self.layout, band, |y, x, place| {
+                    self.move_set(set, smaller, (y, x), &mut moved);
+                    for (coefficient, moved) in moved.total.iter().enumerate().take(coefficients) {
+                        let start = (term.first + coefficient) * self.layout.plane_len(band) + place;
+                        for (sum, moved) in sums[start..start + LANES].iter_mut().zip(moved) {
+                            *sum = T::rounded((*sum).into() + moved);
+                        }
+                    }
+                });
+            }
+        }
+    }
+
+    /// What the change of reference adds to one set's sum at one register of pixels.
+    #[inline(always)]
+    fn move_set<T: Sum>(
+        &self,
+        set: &PlacedSet,
+        smaller: &[Vec<Vec<T>>],
+        (y, x): (i64, i64),
+        products: &mut Products,
+    ) {
+        let degree = set.elements.len();
+        if degree == 2 && !self.plan.symmetric() {
+            return self.move_ordered_pair(set, &smaller[1], (y, x), products);
+        }
+        let algebra = &self.plan.algebra;
+        reset(&mut products.total, algebra.coefficients(degree));
+        for kept in 0..set.subsets.len() {
+            let mut size = kept.count_ones() as usize;
+            self.load_kept(set, smaller, kept, (y, x), &mut products.product);
+            for (_, element) in set.elements.iter().enumerate().filter(|(pixel, _)| kept & (1 << pixel) == 0)
+            {
+                let (y, x) = (y + i64::from(element.dy), x + i64::from(element.dx));
+                products.shift.clear();
+                products.shift.extend((0..algebra.channels()).map(|channel| self.shift(channel, y, x)));
+                reset(&mut products.longer, algebra.coefficients(size + 1));
+                let (product, shift) = ((&products.product[..], size), (&products.shift[..], 1));
+                algebra.add_product(product, shift, -1.0, &mut products.longer);
+                std::mem::swap(&mut products.product, &mut products.longer);
+                size += 1;
+            }
+            for (total, product) in products.total.iter_mut().zip(&products.product) {
+                (0..LANES).for_each(|lane| total[lane] += product[lane]);
+            }
+        }
+    }
+
+    fn load_kept<T: Sum>(
+        &self,
+        set: &PlacedSet,
+        smaller: &[Vec<Vec<T>>],
+        kept: usize,
+        (y, x): (i64, i64),
+        product: &mut Vec<Lanes>,
+    ) {
+        product.clear();
+        if kept == 0 {
+            return product.push([self.samples; LANES]);
+        }
+        let (size, place) = (kept.count_ones() as usize, set.subsets[kept]);
+        let (y, x) = place.seen_from(y, x);
+        let coefficients = place.first..place.first + self.plan.algebra.coefficients(size);
+        product.extend(coefficients.map(|accumulator| self.layout.load(&smaller[size], accumulator, y, x)));
+    }
+
+    /// The same for a pair whose first pixel comes from the channel that stands first.
+    fn move_ordered_pair<T: Sum>(
+        &self,
+        set: &PlacedSet,
+        first_moments: &[Vec<T>],
+        (y, x): (i64, i64),
+        products: &mut Products,
+    ) {
+        products.total.clear();
+        for (a, b) in [(0, 0), (0, 1), (1, 1)] {
+            let pixel = |index: usize| {
+                let element = set.elements[index];
+                (y + i64::from(element.dy), x + i64::from(element.dx))
+            };
+            let ((ya, xa), (yb, xb)) = (pixel(0), pixel(1));
+            let (sum_a, sum_b) =
+                (self.layout.load(first_moments, a, ya, xa), self.layout.load(first_moments, b, yb, xb));
+            let (shift_a, shift_b) = (self.shift(a, ya, xa), self.shift(b, yb, xb));
+            products.total.push(std::array::from_fn(|lane| {
+                self.samples * shift_a[lane] * shift_b[lane]
+                    - sum_a[lane] * shift_b[lane]
+                    - shift_a[lane] * sum_b[lane]
+            }));
+        }
+    }
+
+    #[inline(always)]
+    fn shift(&self, channel: usize, y: i64, x: i64) -> Lanes {
+        match usize::try_from(y) {
+            Ok(y) if y < self.layout.height => {
+                load_row(&self.shifts[channel][y * self.layout.stride..(y + 1) * self.layout.stride], x)
+            }
+            _ => [0.0; LANES],
+        }
+    }
+}
+
+/// Memory for polynomial products, reused from register to register.
+#[derive(Default)]
+struct Products {
+    total: Vec<Lanes>,
+    product: Vec<Lanes>,
+    longer: Vec<Lanes>,
+    shift: Vec<Lanes>,
+}
+
+fn reset(polynomial: &mut Vec<Lanes>, coefficients: usize) {
+    polynomial.clear();
+    polynomial.resize(coefficients, [0.0; LANES]);
+}

@@ -1,0 +1,106 @@
+//! What an engine must know before the first exposure.
+
+use crate::sofi::grid::{Combinations, GridError, VirtualPixelGrid};
+
+/// Most channels that one engine takes.
+const MOST_CHANNELS: usize = 4;
+
+/// Settings of a cumulant engine.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CumulantSettings {
+    /// Cumulant order, 2 to 6.
+    pub order: usize,
+    /// Number of physical channels, 1 to 4.
+    pub channels: usize,
+    /// Exposures per subsequence, at least 2.
+    pub subsequence: u64,
+    /// The rule that chooses pixel sets.
+    pub combinations: Combinations,
+    /// Exposures by which the j-th pixel of every set, in row-major order, is delayed; empty for none.
+    pub lags: Vec<u64>,
+    /// Exposure at which the stream begins; exposures before it belong to somebody else's state.
+    pub first_exposure: u64,
+}
+
+/// Why settings cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum SettingsError {
+    /// The grid refuses order or combinations.
+    #[error(transparent)]
+    Grid(#[from] GridError),
+    /// Too few or too many channels.
+    #[error("{0} channels cannot be analyzed together; take 1 to 4")]
+    Channels(usize),
+    /// A subsequence has no variance with fewer than two exposures.
+    #[error("a subsequence of {0} exposures is too short; take at least 2, in practice 100 to 500")]
+    Subsequence(u64),
+    /// The number of lags is not the order.
+    #[error("{lags} time lags were given for order {order}; give one per pixel of the tuple, or none")]
+    Lags {
+        /// Number of lags given.
+        lags: usize,
+        /// The cumulant order.
+        order: usize,
+    },
+    /// A lag spans a whole subsequence.
+    #[error("time lags that span {span} exposures do not fit into subsequences of {subsequence}")]
+    LagSpan {
+        /// Largest difference between lags, in exposures.
+        span: u64,
+        /// Exposures per subsequence.
+        subsequence: u64,
+    },
+    /// The images have no inner pixel.
+    #[error("images of {width} x {height} pixels are too small; order {order} needs at least 4 x 4")]
+    Size {
+        /// Height in pixels.
+        height: usize,
+        /// Width in pixels.
+        width: usize,
+        /// The cumulant order.
+        order: usize,
+    },
+}
+
+impl CumulantSettings {
+    /// Settings without lags, with all closest combinations, beginning at exposure 0.
+    #[must_use]
+    pub fn new(order: usize, channels: usize, subsequence: u64) -> Self {
+        let combinations = Combinations::default();
+        Self { order, channels, subsequence, combinations, lags: Vec::new(), first_exposure: 0 }
+    }
+
+    /// The virtual-pixel grid of these settings.
+    ///
+    /// # Errors
+    /// [`SettingsError`] for the first setting that cannot be used.
+    pub fn checked_grid(&self) -> Result<VirtualPixelGrid, SettingsError> {
+        let grid = VirtualPixelGrid::new(self.order, self.combinations)?;
+        if !(1..=MOST_CHANNELS).contains(&self.channels) {
+            return Err(SettingsError::Channels(self.channels));
+        }
+        if self.subsequence < 2 {
+            return Err(SettingsError::Subsequence(self.subsequence));
+        }
+        if !self.lags.is_empty() && self.lags.len() != self.order {
+            return Err(SettingsError::Lags { lags: self.lags.len(), order: self.order });
+        }
+        let span = self.lag_span();
+        if span + 1 >= self.subsequence {
+            return Err(SettingsError::LagSpan { span, subsequence: self.subsequence });
+        }
+        Ok(grid)
+    }
+
+    /// Largest difference between lags, in exposures.
+    pub(super) fn lag_span(&self) -> u64 {
+        let shortest = self.lags.iter().min().copied().unwrap_or_default();
+        self.lags.iter().max().map_or(0, |longest| longest - shortest)
+    }
+
+    /// The lags with the shortest at zero.
+    pub(super) fn relative_lags(&self) -> Vec<u64> {
+        let shortest = self.lags.iter().min().copied().unwrap_or_default();
+        self.lags.iter().map(|lag| lag - shortest).collect()
+    }
+}
