@@ -139,7 +139,8 @@ pub(super) fn page_format(
     pixel_size_nm: Option<f64>,
 ) -> Result<PageFormat, FileError> {
     let sizes = (u32::try_from(height), u32::try_from(width));
-    let (Ok(rows), Ok(columns), false) = (sizes.0, sizes.1, [pages, height, width].contains(&0)) else {
+    let (Ok(rows), Ok(columns), false) = (sizes.0, sizes.1, [pages, height, width].contains(&0))
+    else {
         let reason = format!("{pages} pages of {height} x {width} pixels are no image");
         return Err(not_writable(path, reason));
     };
