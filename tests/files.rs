@@ -1,46 +1,17 @@
 //! The files room against files of every kind: written here byte by byte, by other programs, and damaged.
 
+#[cfg(test)]
 #[path = "files/builder.rs"]
 mod builder;
+#[cfg(test)]
+#[path = "files/common.rs"]
+mod common;
+#[cfg(test)]
 #[path = "files/hostile.rs"]
 mod hostile;
+#[cfg(test)]
 #[path = "files/reading.rs"]
 mod reading;
+#[cfg(test)]
 #[path = "files/writing.rs"]
 mod writing;
-
-use std::path::PathBuf;
-
-use sofiscope::files::{FileError, FrameBuffer, ImageStack};
-use tempfile::TempDir;
-
-/// A folder with one file of the given bytes.
-fn file_of(bytes: &[u8]) -> (TempDir, PathBuf) {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("stack.tif");
-    std::fs::write(&path, bytes).unwrap();
-    (folder, path)
-}
-
-/// Opens a file and reads every frame of every channel.
-fn read_all(path: &std::path::Path) -> Result<Vec<FrameBuffer>, FileError> {
-    let mut stack = ImageStack::open(path)?;
-    let mut frames = Vec::new();
-    for channel in 0..stack.info().channels {
-        stack.select_channel(channel)?;
-        stack.seek(0)?;
-        let mut frame = stack.info().buffer();
-        while stack.read(&mut frame)? {
-            frames.push(frame.clone());
-        }
-    }
-    Ok(frames)
-}
-
-/// The bits of each sample of a frame, as the builder takes them.
-fn bits(frame: &FrameBuffer) -> Vec<u32> {
-    match frame {
-        FrameBuffer::Counts(counts) => counts.iter().map(|count| u32::from(*count)).collect(),
-        FrameBuffer::Values(values) => values.iter().map(|value| value.to_bits()).collect(),
-    }
-}

@@ -3,14 +3,14 @@
 use std::io::Write;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sample {
+pub(crate) enum Sample {
     U8,
     U16,
     F32,
 }
 
 impl Sample {
-    pub fn bytes(self) -> usize {
+    pub(crate) fn bytes(self) -> usize {
         match self {
             Sample::U8 => 1,
             Sample::U16 => 2,
@@ -20,14 +20,14 @@ impl Sample {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Chunks {
+pub(crate) enum Chunks {
     Strips(usize),
     Tiles(usize, usize),
 }
 
 /// A file to be built; `pages` hold the bits of each sample.
 #[derive(Clone, Debug)]
-pub struct Tiff {
+pub(crate) struct Tiff {
     pub is_big: bool,
     pub is_big_endian: bool,
     pub height: usize,
@@ -46,7 +46,7 @@ pub struct Tiff {
 
 impl Tiff {
     /// Small, uncompressed, little-endian, with `num_pages` pages of distinct pixels.
-    pub fn new(sample: Sample, num_pages: usize, height: usize, width: usize) -> Tiff {
+    pub(crate) fn new(sample: Sample, num_pages: usize, height: usize, width: usize) -> Tiff {
         let pages = (0..num_pages)
             .map(|page| pixels(sample, page, height * width))
             .collect();
@@ -66,12 +66,12 @@ impl Tiff {
         }
     }
 
-    pub fn set(mut self, tag: u16, kind: u16, value: u64) -> Tiff {
+    pub(crate) fn set(mut self, tag: u16, kind: u16, value: u64) -> Tiff {
         self.overrides.push((tag, kind, vec![value]));
         self
     }
 
-    pub fn build(&self) -> Vec<u8> {
+    pub(crate) fn build(&self) -> Vec<u8> {
         let mut file = if self.is_big_endian {
             b"MM".to_vec()
         } else {
@@ -102,7 +102,7 @@ impl Tiff {
         if self.is_big { 8 } else { 4 }
     }
 
-    pub fn put(&self, file: &mut Vec<u8>, value: u64, size: usize) {
+    pub(crate) fn put(&self, file: &mut Vec<u8>, value: u64, size: usize) {
         let mut bytes = value.to_le_bytes()[..size].to_vec();
         if self.is_big_endian {
             bytes.reverse();

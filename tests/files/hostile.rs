@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use sofiscope::files::{ErrorKind, FileError, ImageStack};
 
 use crate::builder::{Chunks, Sample, Tiff};
-use crate::{file_of, read_all};
+use crate::common::{file_of, read_all};
 
 /// What is said about a file that must be refused; checks the manner of saying it.
 fn refusal(bytes: &[u8]) -> String {
@@ -52,7 +52,7 @@ fn what_is_no_file_is_a_usage_error() {
     assert!(open(&folder.path().join("none.tif/x")).contains("does not exist"));
     assert!(open(Path::new("/dev/zero")).contains("device or pipe"));
     let (_folder, path) = file_of(&plain().build());
-    std::fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0)).unwrap();
+    std::fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o000)).unwrap();
     if std::fs::File::open(&path).is_err() {
         assert!(open(&path).contains("No permission"));
     }
@@ -263,7 +263,7 @@ proptest! {
         let start = Instant::now();
         match read_all(&path) {
             Ok(frames) => {
-                let pixels: usize = frames.iter().map(|frame| crate::bits(frame).len()).sum();
+                let pixels: usize = frames.iter().map(|frame| crate::common::bits(frame).len()).sum();
                 prop_assert!(pixels < 256 << 20);
             }
             Err(FileError::Io { .. }) => prop_assert!(false, "an operating-system error came through"),

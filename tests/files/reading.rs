@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use sofiscope::files::{Dialect, FrameBuffer, ImageStack, SampleType};
 
 use crate::builder::{Chunks, Sample, Tiff};
-use crate::{bits, file_of, read_all};
+use crate::common::{bits, file_of, read_all};
 
 fn assert_reads_back(tiff: &Tiff) {
     let (_folder, path) = file_of(&tiff.build());

@@ -11,7 +11,7 @@ use sofiscope::files::{
 };
 use tiff::decoder::{Decoder, DecodingResult};
 
-use crate::read_all;
+use crate::common::read_all;
 
 fn result_header(storage: Storage) -> ResultHeader {
     ResultHeader {
