@@ -209,6 +209,8 @@ fn descriptions_that_do_not_fit_the_pages_are_refused() {
     tiff.description = "<OME><Image><Pixels SizeC=\"0\"/></Image></OME>".to_owned();
     assert!(refusal(&tiff.build()).contains("SizeC"));
     tiff.description = "ImageJ=1.53t\nimages=9\nchannels=2\n".to_owned();
+    assert!(refusal(&tiff.build()).contains("promises 9 images, the file holds 3"));
+    tiff.description = "ImageJ=1.53t\nimages=3\nchannels=2\n".to_owned();
     assert!(refusal(&tiff.build()).contains("2 channels"));
 }
 

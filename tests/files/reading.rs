@@ -187,6 +187,20 @@ fn imagej_stacks_with_one_directory_hold_all_frames() {
 }
 
 #[test]
+fn truncated_files_of_python_hold_all_frames() {
+    let mut tiff = Tiff::new(Sample::F32, 1, 3, 4);
+    tiff.description = r#"{"shape": [2, 2, 3, 4], "truncated": true}"#.to_owned();
+    let mut file = build_contiguous(&tiff);
+    for sample in 0..48_u8 {
+        tiff.put(&mut file, u64::from(f32::from(sample).to_bits()), 4);
+    }
+    let (_folder, path) = file_of(&file);
+    let frames = read_all(&path).unwrap();
+    assert_eq!(frames.len(), 4);
+    assert_eq!(bits(&frames[3])[0], 36.0_f32.to_bits());
+}
+
+#[test]
 fn frames_beyond_four_gigabytes_are_reached() {
     let mut tiff = contiguous_imagej(3000, 1);
     tiff = tiff.set(256, 4, 1024).set(257, 4, 1024).set(278, 4, 1024);

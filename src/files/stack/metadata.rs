@@ -5,6 +5,7 @@
 
 mod imagej;
 mod ome;
+mod shaped;
 
 use std::time::Duration;
 
@@ -53,6 +54,7 @@ pub(super) fn read(source: &Source, directory: &Directory) -> Result<Metadata, F
         return ome::parse(text).map_err(|detail| source.damaged(directory.place, FIELD, detail));
     }
     Ok(Metadata {
+        planes: shaped::planes(text),
         channels: 1,
         run: 1,
         ..Metadata::default()

@@ -18,14 +18,14 @@ pub(super) fn open(path: &Path) -> Result<ImageStack, FileError> {
     let mut source = Source::open(path)?;
     let (first, is_big) = Directories::read_header(&mut source)?;
     let (pages, geometry, metadata) = walk(&source, first, is_big)?;
-    let promised = metadata.planes.unwrap_or(0);
     let (pages, num_planes) = match contiguous(&source, &pages, geometry, &metadata)? {
-        Some(contiguous) => (contiguous, promised),
+        Some((contiguous, num_planes)) => (contiguous, num_planes),
         None => {
             let num_pages = pages.len() as u64;
             (Pages::Listed(pages), num_pages)
         }
     };
+    ensure_complete(&source, &metadata, num_planes)?;
     let channels = channels(&source, &metadata, num_planes)?;
     let frames = num_planes / channels;
     Ok(ImageStack {
@@ -87,18 +87,18 @@ fn ensure_alike(
     ))
 }
 
-/// ImageJ stacks may have one directory and all pixels after it: its way to write more than 4 GB.
+/// ImageJ stacks may have one directory and all pixels after it: its way to write more than 4 GB; Python's writer can too.
 fn contiguous(
     source: &Source,
     pages: &[Page],
     geometry: Geometry,
     metadata: &Metadata,
-) -> Result<Option<Pages>, FileError> {
+) -> Result<Option<(Pages, u64)>, FileError> {
     let promised = metadata.planes.unwrap_or(1);
     let [first] = pages else {
         return Ok(None);
     };
-    if metadata.dialect != Dialect::ImageJ || promised <= 1 {
+    if metadata.dialect == Dialect::Ome || promised <= 1 {
         return Ok(None);
     }
     let chunks = first.chunks(source, geometry)?;
@@ -107,14 +107,25 @@ fn contiguous(
     };
     let frame = geometry.frame_bytes() as u64;
     let held = (source.length - offset) / frame;
-    if held < promised {
-        let detail = format!("it promises {promised} images, the file holds {held}");
-        return Err(source.damaged(first.place, DESCRIPTION, detail));
-    }
-    Ok(Some(Pages::Contiguous {
+    let pages = Pages::Contiguous {
         first: *first,
         offset,
-    }))
+    };
+    Ok(Some((pages, promised.min(held))))
+}
+
+/// Refuses files with fewer planes than promised; only OME files may be a part of a set or of a run that was stopped.
+fn ensure_complete(source: &Source, metadata: &Metadata, held: u64) -> Result<(), FileError> {
+    let promised = metadata.planes.unwrap_or(held);
+    if held >= promised {
+        return Ok(());
+    }
+    if metadata.dialect != Dialect::Ome {
+        let detail = format!("it promises {promised} images, the file holds {held}");
+        return Err(source.damaged(Place::Page(1), DESCRIPTION, detail));
+    }
+    tracing::warn!(path = %source.path.display(), promised, held, "the OME-XML promises more planes than the file holds");
+    Ok(())
 }
 
 /// Channels of a file with `num_planes` planes; contradictions are errors, a set spread over several files is not.
