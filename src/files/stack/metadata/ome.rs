@@ -3,6 +3,8 @@
 //! In: the text. Out: [`Metadata`].
 //! Never: fetches anything the text points to. Fails: a sentence, when the text is no XML or orders its planes unusually.
 
+use std::collections::BTreeSet;
+
 use quick_xml::Reader;
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
@@ -26,13 +28,19 @@ pub(super) fn parse(text: &str) -> Result<Metadata, String> {
     };
     let mut axes: Option<Axes> = None;
     let mut num_pixels = 0;
+    let mut unusual: Option<String> = None;
+    let mut file_names = BTreeSet::new();
     loop {
         let event = reader
             .read_event()
             .map_err(|error| format!("the OME-XML cannot be read ({error})"))?;
         let (Event::Start(element) | Event::Empty(element)) = event else {
             if matches!(event, Event::Eof) {
-                return finish(metadata, axes, num_pixels);
+                // In a set of files, page numbers of several files follow one another.
+                return match unusual {
+                    Some(detail) if file_names.len() <= 1 => Err(detail),
+                    _ => finish(metadata, axes, num_pixels),
+                };
             }
             continue;
         };
@@ -50,9 +58,11 @@ pub(super) fn parse(text: &str) -> Result<Metadata, String> {
                     .push(attributes.text("Name").unwrap_or_default().to_owned());
             }
             "TiffData" if num_pixels == 1 => {
-                if let Some(axes) = axes {
-                    ensure_usual_order(&attributes, axes)?;
-                }
+                let usual = axes.map_or(Ok(()), |axes| ensure_usual_order(&attributes, axes));
+                unusual = unusual.or(usual.err());
+            }
+            "UUID" if num_pixels == 1 => {
+                file_names.insert(attributes.text("FileName").unwrap_or_default().to_owned());
             }
             _ => {}
         }
@@ -199,6 +209,21 @@ mod tests {
             metadata.frame_interval,
             Some(std::time::Duration::from_millis(20))
         );
+    }
+
+    #[test]
+    fn sets_of_several_files_may_count_their_pages_anew() {
+        let plane = |channel: usize, file: &str| {
+            format!(
+                r#"<TiffData FirstC="{channel}" IFD="0"><UUID FileName="{file}">u</UUID></TiffData>"#
+            )
+        };
+        let pixels = |last: &str| {
+            let planes = plane(0, "r.tif") + &plane(1, last);
+            format!(r#"{HEAD}<Pixels SizeC="2">{planes}</Pixels></Image></OME>"#)
+        };
+        assert!(parse(&pixels("t.tif")).is_ok());
+        assert!(parse(&pixels("r.tif")).is_err());
     }
 
     #[test]
