@@ -20,6 +20,8 @@ pub struct Layer<'a> {
     /// Its color at the upper limit.
     pub color: Rgb,
     /// Values drawn black and in full color.
+    /// Start at zero for cumulants ([`Contrast::FromZero`](super::Contrast::FromZero)): the noise of an
+    /// empty background would otherwise add up to gray.
     pub limits: Limits,
 }
 

@@ -44,7 +44,7 @@ impl RgbImage {
     /// Returns what was drawn; `None`, and an unchanged picture, if no bar with its label fits.
     pub fn draw_scale_bar(&mut self, pixel_pitch_nm: f64) -> Option<ScaleBar> {
         let bar = ScaleBar::choose(self.width(), pixel_pitch_nm)?;
-        let size = (self.width().min(self.height()) / 160).max(1);
+        let size = self.width().min(self.height()) / 180 + 1;
         let (label_width, label_height) = font::extent(&bar.label, size);
         let margin = 5 * size;
         let thickness = 2 * size;

@@ -121,13 +121,18 @@ fn together(
     images: &[Array2<f32>],
 ) -> Picture {
     let colors = default_colors(images.len());
+    let contrast = if step == Step::Cameras {
+        Contrast::default()
+    } else {
+        Contrast::FromZero { high: 99.9 }
+    };
     let layers: Vec<_> = images
         .iter()
         .zip(&colors)
         .map(|(image, &color)| Layer {
             image: image.view(),
             color,
-            limits: Contrast::default().limits(image),
+            limits: contrast.limits(image),
         })
         .collect();
     let legend = names

@@ -84,8 +84,8 @@ impl Picture {
             self.scale.as_ref().map(ColorScale::bar).unwrap_or_default(),
         );
         Ok(format!(
-            "<figure><img src=\"{source}\" alt=\"{title}. {caption}\"/>{scale}\n\
-             <figcaption><b>{title}</b> {legend}<span>{caption}</span></figcaption></figure>\n"
+            "<figure><img src=\"{source}\" alt=\"{title}. {caption}\"/>\n\
+             <figcaption><b>{title}</b> {legend}<span>{caption}</span></figcaption>{scale}</figure>\n"
         ))
     }
 

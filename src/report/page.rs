@@ -10,7 +10,7 @@ use super::figure::{Picture, Step};
 use super::json::write_whole;
 use super::model::{AnalysisReport, Crosstalk};
 use super::sections;
-use super::text::{count, escape, number, plural};
+use super::text::{count, escape, number, percent, plural};
 use super::verdict::verdict;
 
 /// The page.
@@ -131,7 +131,7 @@ fn key_numbers(report: &AnalysisReport) -> String {
         ("cumulant order", Some(order.to_string()), ""),
         ("output pixel", fine.map(number), "nm"),
         ("condition number", condition.map(number), ""),
-        ("worst crosstalk, linearized", worst.map(number), "%"),
+        ("worst crosstalk, linearized", worst.map(percent), "%"),
         ("best resolution", best.map(number), "nm"),
         ("analysis speed", speed.map(number), "pairs/s"),
     ];

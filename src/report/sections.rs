@@ -164,11 +164,11 @@ pub(super) fn resolution(report: &AnalysisReport) -> String {
     let rows = resolution.values.iter().map(|value| {
         [
             escape(&value.image),
-            escape(&value.method),
             number(value.nanometers),
+            escape(&value.method),
         ]
     });
-    let head = ["image", "method", "resolution (nm)"].map(str::to_owned);
+    let head = ["image", "resolution (nm)", "method"].map(str::to_owned);
     let values = if resolution.values.is_empty() {
         String::new()
     } else {

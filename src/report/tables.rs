@@ -5,7 +5,7 @@
 
 use super::figure::chip;
 use super::model::{Crosstalk, Matrix, Species, Unmixing};
-use super::text::{escape, number, optional};
+use super::text::{escape, number, optional, percent};
 
 /// Species with their spectral response and quality.
 pub(super) fn species(list: &[Species]) -> String {
@@ -41,7 +41,7 @@ pub(super) fn crosstalk(title: &str, names: &[String], matrix: &Matrix) -> Strin
         .enumerate()
         .map(|(row, values)| crosstalk_row(row, names, values))
         .collect();
-    let worst = Crosstalk::worst(matrix).map_or_else(|| "–".to_owned(), number);
+    let worst = Crosstalk::worst(matrix).map_or_else(|| "–".to_owned(), percent);
     format!(
         "<div><h3>{}</h3><table class=\"crosstalk\"><thead><tr><th>from \\ into (%)</th>{head}</tr></thead>\
          <tbody>{body}</tbody></table><p class=\"note\">worst: {worst} %</p></div>\n",
@@ -54,11 +54,11 @@ fn crosstalk_row(row: usize, names: &[String], values: &[f64]) -> String {
         .iter()
         .enumerate()
         .map(|(column, &value)| match () {
-            () if row == column => format!("<td class=\"own\">{}</td>", number(value)),
+            () if row == column => format!("<td class=\"own\">{}</td>", percent(value)),
             () => format!(
                 "<td style=\"--heat:{:.0}%\">{}</td>",
                 heat(value),
-                number(value)
+                percent(value)
             ),
         })
         .collect();

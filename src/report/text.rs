@@ -43,6 +43,16 @@ pub(super) fn number(value: f64) -> String {
     }
 }
 
+/// A percentage with one decimal; `–` if not finite.
+pub(super) fn percent(value: f64) -> String {
+    let rounded = (value * 10.0).round() / 10.0 + 0.0;
+    if value.is_finite() {
+        minus(&format!("{rounded:.1}"))
+    } else {
+        "–".to_owned()
+    }
+}
+
 /// A whole number with thousands set apart by narrow spaces.
 pub(super) fn count(value: f64) -> String {
     let digits = format!("{:.0}", value.abs());
@@ -130,6 +140,10 @@ mod tests {
         ] {
             assert_eq!(number(value), expected);
         }
+        assert_eq!(
+            [percent(-0.02), percent(-2.65), percent(f64::NAN)],
+            ["0.0", "−2.7", "–"]
+        );
         assert_eq!(plural(1, "frame"), "1 frame");
         assert_eq!(plural(12_000, "frame"), "12\u{202F}000 frames");
         assert_eq!(superscript(-12), "⁻¹²");

@@ -4,7 +4,7 @@
 //! Never: praises; leaves lost frames unsaid. Fails: never.
 
 use super::model::{AnalysisReport, Crosstalk};
-use super::text::{count, number, plural};
+use super::text::{count, number, percent, plural};
 
 /// One sentence that says what was done and how well it went, plain text.
 #[must_use]
@@ -17,7 +17,7 @@ pub fn verdict(report: &AnalysisReport) -> String {
     {
         facts.push(format!(
             "worst crosstalk {} % after linearization",
-            number(worst)
+            percent(worst)
         ));
     }
     facts.extend(signal_to_noise(report));
@@ -82,7 +82,7 @@ mod tests {
         let mut report = example::report();
         let sentence = verdict(&report);
         assert!(sentence.starts_with(
-            "3 species unmixed at order 2 from 3984 frame pairs; worst crosstalk 2.60 %"
+            "3 species unmixed at order 2 from 3984 frame pairs; worst crosstalk 2.6 %"
         ));
         assert!(
             sentence.contains("3 lost and 13 left out, 2 warnings to read."),
