@@ -69,7 +69,7 @@ fn new_file(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
 #[cfg(test)]
 mod tests {
     use super::super::example;
-    use super::super::model::Subsequence;
+    use super::super::model::{Subsequence, SubsequenceFate};
     use super::*;
 
     #[test]
@@ -87,6 +87,8 @@ mod tests {
         let unmixing = report.unmixing.as_mut().unwrap();
         unmixing.condition_number = f64::INFINITY;
         unmixing.matrix[0][0] = f64::NAN;
+        report.species[0].transmission = f64::NAN;
+        report.subsequences[0].fate = SubsequenceFate::Used { weight: f64::NAN };
         let back: AnalysisReport = serde_json::from_str(&to_json(&report).unwrap()).unwrap();
         let unmixing = back.unmixing.unwrap();
         assert!(unmixing.condition_number.is_nan() && unmixing.matrix[0][0].is_nan());

@@ -8,6 +8,7 @@
 mod error;
 #[cfg(test)]
 mod example;
+mod facts;
 mod figure;
 mod json;
 mod model;

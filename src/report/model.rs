@@ -195,6 +195,7 @@ pub enum SubsequenceFate {
     /// It is, with this weight; the weights of all used ones add up to 1.
     Used {
         /// Share in the mean over the subsequences.
+        #[serde(deserialize_with = "null::number")]
         weight: f64,
     },
     /// It is not.

@@ -17,8 +17,10 @@ pub struct Species {
     /// Name.
     pub name: String,
     /// Share of its light in the transmission channel, 0 to 1.
+    #[serde(deserialize_with = "null::number")]
     pub transmission: f64,
     /// Share of its light in the reflection channel, 0 to 1.
+    #[serde(deserialize_with = "null::number")]
     pub reflection: f64,
     /// Wavelength of strongest emission, in nanometers.
     pub emission_nm: Option<f64>,

@@ -6,6 +6,7 @@
 use std::path::Path;
 
 use super::error::ReportError;
+use super::facts;
 use super::figure::{Picture, Step};
 use super::json::write_whole;
 use super::model::{AnalysisReport, Crosstalk};
@@ -34,7 +35,7 @@ pub fn html(report: &AnalysisReport, pictures: &[Picture]) -> Result<String, Rep
         sections::resolution(report),
         sections::bleaching(report),
         sections::mixing(report),
-        sections::facts(report),
+        facts::facts(report),
         foot(report),
     ]
     .concat();

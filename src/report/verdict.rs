@@ -22,11 +22,10 @@ pub fn verdict(report: &AnalysisReport) -> String {
     }
     facts.extend(signal_to_noise(report));
     facts.push(missing(report));
-    let mut sentence = facts.join("; ");
     if !report.warnings.is_empty() {
-        sentence += &format!(", {} to read", plural(report.warnings.len(), "warning"));
+        facts.push(plural(report.warnings.len(), "warning"));
     }
-    sentence + "."
+    facts.join("; ") + "."
 }
 
 fn subject(report: &AnalysisReport) -> String {
@@ -60,15 +59,13 @@ fn signal_to_noise(report: &AnalysisReport) -> Option<String> {
 }
 
 fn missing(report: &AnalysisReport) -> String {
-    match (report.frames.num_lost(), report.frames.num_excluded()) {
+    let (lost, excluded) = (report.frames.num_lost(), report.frames.num_excluded());
+    let (num_lost, num_excluded) = (count(lost as f64), count(excluded as f64));
+    match (lost, excluded) {
         (0, 0) => "no frame lost or left out".to_owned(),
-        (lost, 0) => format!("{} lost", count(lost as f64)),
-        (0, excluded) => format!("none lost, {} left out", count(excluded as f64)),
-        (lost, excluded) => format!(
-            "{} lost and {} left out",
-            count(lost as f64),
-            count(excluded as f64)
-        ),
+        (_, 0) => format!("frames lost: {num_lost}"),
+        (0, _) => format!("no frame lost, {num_excluded} left out"),
+        _ => format!("frames lost: {num_lost}, left out: {num_excluded}"),
     }
 }
 
@@ -85,7 +82,7 @@ mod tests {
             "3 species unmixed at order 2 from 3984 frame pairs; worst crosstalk 2.6 %"
         ));
         assert!(
-            sentence.contains("3 lost and 13 left out, 2 warnings to read."),
+            sentence.contains("frames lost: 3, left out: 13; 2 warnings."),
             "{sentence}"
         );
         report.frames = super::super::FrameAccount::default();
