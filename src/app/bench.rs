@@ -1,0 +1,135 @@
+//! `bench`: pairs per second per order beside the machine's own memory bandwidth, measured in the same run.
+
+use crate::reconstruction::AllCores;
+use crate::sofi::cumulant::{CumulantEngine, CumulantSettings, Exposure};
+use crate::sofi::grid::Combinations;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::time::{Duration, Instant};
+
+/// Exposures that the engine is given at once, as the live pipeline does.
+const BLOCK: usize = 32;
+
+/// One measured case.
+#[derive(Debug, Clone, Serialize)]
+pub struct Measurement {
+    /// What was measured.
+    pub case: String,
+    /// Cumulant order.
+    pub order: usize,
+    /// Width of one camera image, pixels.
+    pub width: usize,
+    /// Height of one camera image, pixels.
+    pub height: usize,
+    /// Median over rounds, both cores.
+    pub pairs_per_second: f64,
+    /// Bytes of camera data taken in per second.
+    pub input_bytes_per_second: f64,
+    /// Median read bandwidth measured between the rounds.
+    pub read_bandwidth_bytes_per_second: f64,
+}
+
+/// A case to measure.
+#[derive(Debug, Clone, Copy)]
+pub struct Case {
+    name: &'static str,
+    order: usize,
+    side: usize,
+    combinations: Combinations,
+}
+
+/// The cases of the command, the paper's camera size first.
+pub const CASES: [Case; 4] = [
+    Case { name: "two cameras, all spectral channels", order: 2, side: 2048, combinations: Combinations::AllClosest },
+    Case { name: "two cameras, all spectral channels", order: 3, side: 512, combinations: Combinations::AllClosest },
+    Case { name: "two cameras, all spectral channels", order: 4, side: 512, combinations: Combinations::AllClosest },
+    Case { name: "two cameras, one set per position", order: 4, side: 512, combinations: Combinations::OnePerPosition },
+];
+
+/// Measures one case: rounds of engine work and of plain reading in turn.
+#[must_use]
+pub fn measure(case: Case, rounds: usize) -> Measurement {
+    let pixels = case.side * case.side;
+    let memory: Vec<Vec<u16>> = (0..2 * BLOCK).map(|frame| frame_of_noise(pixels, frame as u64)).collect();
+    let planes: Vec<[&[u16]; 2]> = (0..BLOCK).map(|pair| [&memory[2 * pair][..], &memory[2 * pair + 1][..]]).collect();
+    let settings = CumulantSettings { combinations: case.combinations, ..CumulantSettings::new(case.order, 2, 200) };
+    let mut engine = CumulantEngine::<u16>::new(settings, case.side, case.side).expect("the built-in cases are valid");
+    let mut next = 0;
+    let mut push_block = || {
+        let exposures: Vec<_> =
+            planes.iter().enumerate().map(|(i, planes)| Exposure { index: next + i as u64, planes }).collect();
+        engine.push(&AllCores, &exposures).expect("exposures rise");
+        next += BLOCK as u64;
+    };
+    push_block();
+    let per_round = blocks_per_round(&mut push_block);
+    let (mut speeds, mut bandwidths) = (Vec::new(), Vec::new());
+    for _ in 0..rounds {
+        bandwidths.push(read_bandwidth(&memory));
+        let start = Instant::now();
+        (0..per_round).for_each(|_| push_block());
+        speeds.push((per_round * BLOCK) as f64 / start.elapsed().as_secs_f64());
+    }
+    let pairs_per_second = median(&mut speeds);
+    Measurement {
+        case: case.name.to_owned(),
+        order: case.order,
+        width: case.side,
+        height: case.side,
+        pairs_per_second,
+        input_bytes_per_second: pairs_per_second * (pixels * 2 * size_of::<u16>()) as f64,
+        read_bandwidth_bytes_per_second: median(&mut bandwidths),
+    }
+}
+
+/// As many blocks as take about a second, and at least one whole subsequence.
+fn blocks_per_round(push_block: &mut impl FnMut()) -> usize {
+    let start = Instant::now();
+    push_block();
+    let block = start.elapsed().max(Duration::from_micros(10));
+    (Duration::from_secs(1).as_secs_f64() / block.as_secs_f64()).ceil().clamp(7.0, 400.0) as usize
+}
+
+/// Bytes per second at which all cores together read memory that no cache can hold.
+fn read_bandwidth(memory: &[Vec<u16>]) -> f64 {
+    let bytes: usize = memory.iter().map(|frame| frame.len() * size_of::<u16>()).sum();
+    let repeats = (1 << 30) / bytes + 1;
+    let start = Instant::now();
+    for _ in 0..repeats {
+        let sum: u64 = memory.par_iter().map(|frame| sum_of(frame)).sum();
+        std::hint::black_box(sum);
+    }
+    (bytes * repeats) as f64 / start.elapsed().as_secs_f64()
+}
+
+fn sum_of(frame: &[u16]) -> u64 {
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            frame
+                .chunks(4096)
+                .map(|chunk| {
+                    let sum = chunk.iter().fold(0u32, |sum, &value| sum + u32::from(value));
+                    u64::from(sum)
+                })
+                .sum()
+        },
+    )
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// Counts around 200 from a small generator; what they are does not change the speed.
+fn frame_of_noise(pixels: usize, seed: u64) -> Vec<u16> {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    let mut next = || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        150 + (state >> 57) as u16
+    };
+    (0..pixels).map(|_| next()).collect()
+}

@@ -1,0 +1,3 @@
+//! Frame pairs to images.
+mod workers;
+pub use workers::AllCores;
