@@ -1,1 +1,4 @@
 //! Pure mathematics of the paper, one file per step.
+
+pub mod spectra;
+pub mod unmixing;
