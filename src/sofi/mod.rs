@@ -1,4 +1,6 @@
 //! Pure mathematics of the paper, one file per step.
 
+pub mod flattening;
+pub mod psf;
 pub mod spectra;
 pub mod unmixing;
