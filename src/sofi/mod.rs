@@ -2,6 +2,7 @@
 
 pub mod convolution;
 pub mod flattening;
+pub mod linearization;
 pub mod psf;
 pub mod spectra;
 pub mod unmixing;
