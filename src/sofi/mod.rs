@@ -1,5 +1,6 @@
 //! Pure mathematics of the paper, one file per step.
 
+pub mod balancing;
 pub mod convolution;
 pub mod flattening;
 pub mod linearization;

@@ -20,6 +20,8 @@ pub const MAX_ORDER: usize = 12;
 /// Most species that [`UnmixingMethod::NonNegative`] accepts: it keeps a solver for every subset.
 pub const MAX_NON_NEGATIVE_SPECIES: usize = 10;
 
+/// Sweeps of rotations that no matrix of this kind needs.
+const MAX_SWEEPS: usize = 60;
 /// Two unit columns closer than this count as one and the same spectrum.
 const PARALLEL: f64 = 1e-4;
 
@@ -619,14 +621,73 @@ fn product(matrix: &DMatrix<f64>, vector: &[f64], result: &mut [f64]) {
     }
 }
 
+/// Singular values (largest first) and both sides' vectors: `matrix V = scaled`, whose columns are
+/// orthogonal and have the singular values as norms.
+struct SingularValues {
+    values: Vec<f64>,
+    scaled: DMatrix<f64>,
+    right: DMatrix<f64>,
+}
+
+impl SingularValues {
+    /// One-sided Jacobi rotations (Hestenes 1958): for matrices this small the most accurate way.
+    fn of(matrix: &DMatrix<f64>) -> Self {
+        let count = matrix.ncols();
+        let (mut scaled, mut right) = (matrix.clone(), DMatrix::identity(count, count));
+        for _ in 0..MAX_SWEEPS {
+            let mut is_settled = true;
+            for p in 0..count {
+                for q in p + 1..count {
+                    is_settled &= !make_orthogonal(&mut scaled, &mut right, p, q);
+                }
+            }
+            if is_settled {
+                break;
+            }
+        }
+        let norms: Vec<f64> = scaled.column_iter().map(|column| column.norm()).collect();
+        let mut by_size: Vec<usize> = (0..count).collect();
+        by_size.sort_by(|&a, &b| norms[b].total_cmp(&norms[a]));
+        Self {
+            values: by_size.iter().map(|&k| norms[k]).collect(),
+            scaled: scaled.select_columns(&by_size),
+            right: right.select_columns(&by_size),
+        }
+    }
+}
+
+/// Rotates columns `p` and `q` until they are orthogonal; false if they were.
+fn make_orthogonal(
+    scaled: &mut DMatrix<f64>,
+    right: &mut DMatrix<f64>,
+    p: usize,
+    q: usize,
+) -> bool {
+    let product = scaled.column(p).dot(&scaled.column(q));
+    let (norm_p, norm_q) = (scaled.column(p).norm(), scaled.column(q).norm());
+    if product.abs() <= f64::EPSILON * norm_p * norm_q {
+        return false;
+    }
+    let zeta = (norm_q - norm_p) * (norm_q + norm_p) / (2.0 * product);
+    let tangent = 1.0_f64.copysign(zeta) / (zeta.abs() + zeta.hypot(1.0));
+    let cosine = 1.0 / tangent.hypot(1.0);
+    let sine = cosine * tangent;
+    for matrix in [scaled, right] {
+        for row in 0..matrix.nrows() {
+            let (a, b) = (matrix[(row, p)], matrix[(row, q)]);
+            matrix[(row, p)] = cosine * a - sine * b;
+            matrix[(row, q)] = sine * a + cosine * b;
+        }
+    }
+    true
+}
+
 /// `V S^-1 U^T`; the columns are known to be independent, so no singular value is dropped.
 fn pseudo_inverse(matrix: &DMatrix<f64>) -> DMatrix<f64> {
-    let svd = matrix.clone().svd(true, true);
-    let (Some(u), Some(v_t)) = (&svd.u, &svd.v_t) else {
-        return DMatrix::zeros(matrix.ncols(), matrix.nrows());
-    };
-    let inverse = DMatrix::from_diagonal(&svd.singular_values.map(|s| 1.0 / s));
-    v_t.transpose() * inverse * u.transpose()
+    let svd = SingularValues::of(matrix);
+    let inverse_squares = svd.values.iter().map(|s| 1.0 / (s * s));
+    let diagonal = DVector::from_iterator(svd.values.len(), inverse_squares);
+    svd.right * DMatrix::from_diagonal(&diagonal) * svd.scaled.transpose()
 }
 
 fn to_array(matrix: &DMatrix<f64>) -> Array2<f64> {
@@ -693,16 +754,15 @@ fn checked_singular_values(
     matrix: &DMatrix<f64>,
     names: &[String],
 ) -> Result<Vec<f64>, UnmixingError> {
-    let svd = matrix.clone().svd(false, true);
-    let values: Vec<f64> = svd.singular_values.iter().copied().collect();
-    let condition = condition(&values);
+    let svd = SingularValues::of(matrix);
+    let condition = condition(&svd.values);
     // Not "greater than": the condition of a singular matrix may be NaN.
     if condition <= MAX_CONDITION {
-        return Ok(values);
+        return Ok(svd.values);
     }
     let mut groups = parallel_columns(matrix);
     if groups.is_empty() {
-        groups = vec![null_members(&svd.v_t.unwrap_or_default(), &values)];
+        groups = vec![null_members(&svd)];
     }
     let named = |group: Vec<usize>| group.into_iter().map(|i| names[i].clone()).collect();
     Err(UnmixingError::Indistinguishable {
@@ -737,15 +797,15 @@ fn parallel_columns(matrix: &DMatrix<f64>) -> Vec<Vec<usize>> {
 }
 
 /// Species that take part in the combinations the channels cannot see.
-fn null_members(v_t: &DMatrix<f64>, singular_values: &[f64]) -> Vec<usize> {
-    let limit = singular_values[0] / MAX_CONDITION;
+fn null_members(svd: &SingularValues) -> Vec<usize> {
+    let unseen = svd.values[0] / MAX_CONDITION;
     let weight = |i: usize| -> f64 {
-        (0..v_t.nrows())
-            .filter(|&k| !(singular_values[k] >= limit))
-            .map(|k| v_t[(k, i)].powi(2))
+        (0..svd.values.len())
+            .filter(|&k| svd.values[k] < unseen)
+            .map(|k| svd.right[(i, k)].powi(2))
             .sum()
     };
-    let weights: Vec<f64> = (0..v_t.ncols()).map(weight).collect();
+    let weights: Vec<f64> = (0..svd.values.len()).map(weight).collect();
     let most = weights.iter().copied().fold(0.0, f64::max);
     (0..weights.len())
         .filter(|&i| weights[i] >= 0.01 * most)
