@@ -1007,6 +1007,21 @@ mod tests {
     }
 
     #[test]
+    fn the_pseudo_inverse_is_exact_to_rounding() {
+        // A case that a general-purpose decomposition solved to eight digits only.
+        let t = [
+            0.037_001_195_345_244_59,
+            0.565_080_417_060_820_9,
+            0.961_669_960_954_710_6,
+        ];
+        let matrix = UnmixingMatrix::new(4, &dyes(&t)).unwrap();
+        let identity = &matrix.pseudo_inverse * &matrix.matrix;
+        assert!((identity - DMatrix::identity(3, 3)).amax() < 1e-14);
+        let squares: f64 = matrix.singular_values().iter().map(|s| s * s).sum();
+        assert!((squares - matrix.matrix.norm_squared()).abs() < 1e-14);
+    }
+
+    #[test]
     fn eigenvalues_of_table_s1() {
         let matrix = UnmixingMatrix::new(2, &table_s1()).unwrap();
         let eigenvalues = matrix.eigenvalue_magnitudes().unwrap();
