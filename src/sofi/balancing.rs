@@ -18,7 +18,7 @@
 //! Valid where `kappa_2 > 0` and `K_1^2 > K_2`, which together mean `epsilon > 0` and
 //! `0 < rho < 1`. As `rho` goes to 0 or 1, `K_2` goes to `K_1^2`, and noise decides.
 
-use ndarray::{Array2, ArrayView2, Zip, s};
+use ndarray::{Array2, ArrayRef2, Zip, s};
 use thiserror::Error;
 
 /// Why the maps cannot be made.
@@ -130,9 +130,9 @@ pub fn photophysics(kappa: [f64; 3], weights: PsfWeights) -> Option<Photophysics
 /// # Errors
 /// [`BalancingError::Shapes`].
 pub fn balance(
-    second: ArrayView2<f32>,
-    third: ArrayView2<f32>,
-    fourth: ArrayView2<f32>,
+    second: &ArrayRef2<f32>,
+    third: &ArrayRef2<f32>,
+    fourth: &ArrayRef2<f32>,
     weights: PsfWeights,
 ) -> Result<PhotophysicalMaps, BalancingError> {
     let shapes = [second.dim(), third.dim(), fourth.dim()];
@@ -161,7 +161,7 @@ pub fn balance(
 
 /// The pixels of an image of order `n` at whole camera positions, the one grid all orders share.
 #[must_use]
-pub fn on_camera_grid(image: ArrayView2<f32>, order: usize) -> Array2<f32> {
+pub fn on_camera_grid(image: &ArrayRef2<f32>, order: usize) -> Array2<f32> {
     let step = order.max(1) as isize;
     image.slice(s![..;step, ..;step]).to_owned()
 }
@@ -225,7 +225,7 @@ mod tests {
         second[[0, 0]] = f32::NAN;
         second[[0, 1]] = -1.0;
         fourth[[0, 2]] = f32::MAX;
-        let maps = balance(second.view(), third.view(), fourth.view(), weights).unwrap();
+        let maps = balance(&second, &third, &fourth, weights).unwrap();
         for x in 0..3 {
             assert!(maps.density[[0, x]].is_nan() && maps.brightness[[0, x]].is_nan());
         }
@@ -238,7 +238,7 @@ mod tests {
     fn bad_input_is_refused() {
         let (small, large) = (Array2::zeros((2, 2)), Array2::zeros((2, 3)));
         let at_peak = PsfWeights::at_peak();
-        assert!(balance(small.view(), small.view(), large.view(), at_peak).is_err());
+        assert!(balance(&small, &small, &large, at_peak).is_err());
         assert!(PsfWeights::new([1.0, 0.0, 1.0]).is_err());
         assert!(PsfWeights::evenly_spread(f64::NAN).is_err());
     }
@@ -249,7 +249,7 @@ mod tests {
             let fine = Array2::from_shape_fn((5 * order, 7 * order), |(y, x)| {
                 (y as f32 / order as f32) * 100.0 + x as f32 / order as f32
             });
-            let camera = on_camera_grid(fine.view(), order);
+            let camera = on_camera_grid(&fine, order);
             assert_eq!(camera.dim(), (5, 7));
             assert_eq!(camera[[3, 4]], 304.0);
         }

@@ -12,7 +12,7 @@
 //! there is data and zero where it is missing, starting from a flat image of the mean of `d`.
 //! Every iteration conserves the flux: `sum x H^T(m) = sum d`, hence `sum x = sum d` without holes.
 
-use ndarray::{Array2, ArrayView2, ArrayViewMut2, Zip, s};
+use ndarray::{Array2, ArrayRef2, ArrayViewMut2, Zip, s};
 use rayon::prelude::*;
 use thiserror::Error;
 
@@ -107,7 +107,7 @@ impl LinearizationSettings {
 /// # Errors
 /// [`LinearizationError::Psf`]: order 0, a width that is out of range.
 pub fn linearize(
-    image: ArrayView2<f32>,
+    image: &ArrayRef2<f32>,
     order: usize,
     settings: &LinearizationSettings,
 ) -> Result<Array2<f32>, LinearizationError> {
@@ -119,28 +119,31 @@ pub fn linearize(
     let mut linear = valid.deconvolved(&psf, settings.iterations, settings.acceleration);
     take_root(&mut linear, order);
     if let Some(psf) = reconvolution {
-        linear = convolve(linear.view(), &psf);
+        linear = convolve(&linear, &psf);
     }
-    Ok(valid.restored(linear, valid.peak.powf(1.0 / order as f64)))
+    Ok(valid.restored(&linear, valid.peak.powf(1.0 / order as f64)))
 }
 
 /// Lucy–Richardson deconvolution alone; `psf` in pixels of `image`, brightness in its units.
 #[must_use]
 pub fn deconvolve(
-    image: ArrayView2<f32>,
+    image: &ArrayRef2<f32>,
     psf: &Psf,
     iterations: usize,
     acceleration: Acceleration,
 ) -> Array2<f32> {
     match ValidPart::of(image) {
-        Some(valid) => valid.restored(valid.deconvolved(psf, iterations, acceleration), valid.peak),
+        Some(valid) => valid.restored(
+            &valid.deconvolved(psf, iterations, acceleration),
+            valid.peak,
+        ),
         None => Array2::from_elem(image.dim(), f32::NAN),
     }
 }
 
 /// The smallest rectangle that holds all valid pixels, clipped at zero, scaled to a maximum of 1.
 struct ValidPart<'a> {
-    image: ArrayView2<'a, f32>,
+    image: &'a ArrayRef2<f32>,
     corner: (usize, usize),
     /// NaN where missing.
     data: Array2<f32>,
@@ -149,8 +152,8 @@ struct ValidPart<'a> {
 }
 
 impl<'a> ValidPart<'a> {
-    fn of(image: ArrayView2<'a, f32>) -> Option<Self> {
-        let (rows, columns) = (valid_span(image)?, valid_span(image.reversed_axes())?);
+    fn of(image: &'a ArrayRef2<f32>) -> Option<Self> {
+        let (rows, columns) = (valid_span(image)?, valid_span(&image.t())?);
         let mut data = image
             .slice(s![rows.0..rows.1, columns.0..columns.1])
             .as_standard_layout()
@@ -183,13 +186,13 @@ impl<'a> ValidPart<'a> {
     }
 
     /// Back in the frame and in the units of the image, NaN where that was NaN.
-    fn restored(&self, part: Array2<f32>, scale: f64) -> Array2<f32> {
+    fn restored(&self, part: &Array2<f32>, scale: f64) -> Array2<f32> {
         let mut whole = Array2::from_elem(self.image.dim(), f32::NAN);
         let (top, left) = self.corner;
         let (height, width) = part.dim();
         let inside: ArrayViewMut2<f32> = whole.slice_mut(s![top..top + height, left..left + width]);
         Zip::from(inside)
-            .and(&part)
+            .and(part)
             .and(&self.data)
             .for_each(|to, &value, datum| {
                 if !datum.is_nan() {
@@ -201,7 +204,7 @@ impl<'a> ValidPart<'a> {
 }
 
 /// First and one past the last row with a finite pixel.
-fn valid_span(image: ArrayView2<f32>) -> Option<(usize, usize)> {
+fn valid_span(image: &ArrayRef2<f32>) -> Option<(usize, usize)> {
     let has_data = |row: &usize| image.row(*row).iter().any(|v| v.is_finite());
     let first = (0..image.nrows()).find(has_data)?;
     let last = (0..image.nrows()).rev().find(has_data)?;
@@ -226,7 +229,7 @@ impl<'a> LucyRichardson<'a> {
         let coverage = (!is_whole || !blur.is_symmetric()).then(|| {
             let mask = data.mapv(|v| if v.is_nan() { 0.0 } else { 1.0 });
             let mut coverage = Array2::zeros(data.dim());
-            blur.apply_transposed_then(mask.view(), &mut coverage, |_, _| {});
+            blur.apply_transposed_then(&mask, &mut coverage, |_, _| {});
             coverage
         });
         Self {
@@ -272,7 +275,7 @@ impl<'a> LucyRichardson<'a> {
 
     /// One iteration from `estimate` to `next`, with `ratio` as working space.
     fn step(&self, estimate: &Array2<f32>, ratio: &mut Array2<f32>, next: &mut Array2<f32>) {
-        self.blur.apply_then(estimate.view(), ratio, |y, row| {
+        self.blur.apply_then(estimate, ratio, |y, row| {
             for (value, &datum) in row.iter_mut().zip(row_of(self.data, y)) {
                 // False for missing data too.
                 *value = if datum > 0.0 {
@@ -282,14 +285,13 @@ impl<'a> LucyRichardson<'a> {
                 };
             }
         });
-        self.blur
-            .apply_transposed_then(ratio.view(), next, |y, row| {
-                let estimates = row_of(estimate, y);
-                match &self.coverage {
-                    None => update(row, estimates),
-                    Some(coverage) => update_covered(row, estimates, row_of(coverage, y)),
-                }
-            });
+        self.blur.apply_transposed_then(ratio, next, |y, row| {
+            let estimates = row_of(estimate, y);
+            match &self.coverage {
+                None => update(row, estimates),
+                Some(coverage) => update_covered(row, estimates, row_of(coverage, y)),
+            }
+        });
     }
 
     /// Mean of the valid data such that `sum x H^T(m) = sum d` from the start.
@@ -405,7 +407,7 @@ mod tests {
                 0.0
             }
         });
-        convolve(sharp.view(), &Psf::gaussian(1.5).unwrap())
+        convolve(&sharp, &Psf::gaussian(1.5).unwrap())
     }
 
     fn sum(image: &Array2<f32>) -> f64 {
@@ -470,7 +472,7 @@ mod tests {
                 image[at] = f32::NAN;
             }
             let psf = GaussianPsf::new(sigma).unwrap();
-            let fast = deconvolve(image.view(), &Psf::Gaussian(psf), 10, Acceleration::None);
+            let fast = deconvolve(&image, &Psf::Gaussian(psf), 10, Acceleration::None);
             let slow = densely(&image, &psf, 10);
             for ((a, b), datum) in fast.iter().zip(slow.iter()).zip(&image) {
                 prop_assert_eq!(a.is_nan(), datum.is_nan());
@@ -485,8 +487,8 @@ mod tests {
             let image = spots(20, 24);
             let scale = 3.0_f32.powi(exponent);
             let settings = LinearizationSettings::gaussian(1.2).unwrap();
-            let plain = linearize(image.view(), order, &settings).unwrap();
-            let scaled = linearize((&image * scale).view(), order, &settings).unwrap();
+            let plain = linearize(&image, order, &settings).unwrap();
+            let scaled = linearize(&(&image * scale), order, &settings).unwrap();
             let root = f64::from(scale).powf(1.0 / order as f64);
             let peak = plain.iter().copied().fold(0.0, f32::max);
             for (a, b) in plain.iter().zip(&scaled) {
@@ -500,7 +502,7 @@ mod tests {
         let image = spots(60, 47);
         for acceleration in [Acceleration::None, Acceleration::BiggsAndrews] {
             let psf = Psf::gaussian(1.5).unwrap();
-            let sharp = deconvolve(image.view(), &psf, 20, acceleration);
+            let sharp = deconvolve(&image, &psf, 20, acceleration);
             assert!((sum(&sharp) / sum(&image) - 1.0).abs() < 1e-5);
             let (before, after) = (image.iter(), sharp.iter());
             let highest = |v: f32, w: &f32| v.max(*w);
@@ -518,7 +520,7 @@ mod tests {
             for order in 1..=5 {
                 let mut settings = LinearizationSettings::gaussian(1.3).unwrap();
                 settings.acceleration = acceleration;
-                let linear = linearize(image.view(), order, &settings).unwrap();
+                let linear = linearize(&image, order, &settings).unwrap();
                 let expected = 16.0_f32.powf(1.0 / order as f32);
                 for (value, datum) in linear.iter().zip(&image) {
                     assert_eq!(value.is_nan(), datum.is_nan());
@@ -537,8 +539,8 @@ mod tests {
         let mut framed = Array2::from_elem((37, 35), f32::NAN);
         framed.slice_mut(s![4..34, 3..29]).assign(&image);
         let settings = LinearizationSettings::gaussian(1.1).unwrap();
-        let alone = linearize(image.view(), 2, &settings).unwrap();
-        let inside = linearize(framed.view(), 2, &settings).unwrap();
+        let alone = linearize(&image, 2, &settings).unwrap();
+        let inside = linearize(&framed, 2, &settings).unwrap();
         assert_eq!(alone, inside.slice(s![4..34, 3..29]));
         assert_eq!(inside.iter().filter(|v| !v.is_nan()).count(), image.len());
     }
@@ -546,7 +548,7 @@ mod tests {
     #[test]
     fn nothing_gives_nothing() {
         let settings = LinearizationSettings::gaussian(1.0).unwrap();
-        let run = |image: Array2<f32>| linearize(image.view(), 2, &settings).unwrap();
+        let run = |image: Array2<f32>| linearize(&image, 2, &settings).unwrap();
         assert_eq!(run(Array2::zeros((7, 9))), Array2::zeros((7, 9)));
         assert_eq!(run(Array2::from_elem((3, 3), -2.0)), Array2::zeros((3, 3)));
         assert!(
@@ -568,7 +570,7 @@ mod tests {
         settings.iterations = 0;
         settings.reconvolution = Reconvolution::None;
         let image = spots(12, 12);
-        let linear = linearize(image.view(), 2, &settings).unwrap();
+        let linear = linearize(&image, 2, &settings).unwrap();
         for (a, b) in linear.iter().zip(&image) {
             assert!((a - b.sqrt()).abs() < 1e-5);
         }
@@ -577,9 +579,9 @@ mod tests {
     #[test]
     fn bad_settings_are_refused() {
         let mut settings = LinearizationSettings::gaussian(1.0).unwrap();
-        assert!(linearize(spots(4, 4).view(), 0, &settings).is_err());
+        assert!(linearize(&spots(4, 4), 0, &settings).is_err());
         settings.reconvolution = Reconvolution::Sigma(-1.0);
-        assert!(linearize(spots(4, 4).view(), 2, &settings).is_err());
+        assert!(linearize(&spots(4, 4), 2, &settings).is_err());
         assert!(LinearizationSettings::gaussian(f64::NAN).is_err());
     }
 
@@ -592,8 +594,8 @@ mod tests {
             (half[y.abs_diff(side / 2)] * half[x.abs_diff(side / 2)]) as f32
         });
         let image = spots(40, 33);
-        let of = |psf: &Psf| deconvolve(image.view(), psf, 10, Acceleration::None);
-        let by_image = of(&Psf::image(sampled.view()).unwrap());
+        let of = |psf: &Psf| deconvolve(&image, psf, 10, Acceleration::None);
+        let by_image = of(&Psf::image(&sampled).unwrap());
         let by_gaussian = of(&Psf::Gaussian(gaussian));
         assert!(reference::disagreement(&by_image, &by_gaussian) < 1e-3);
         assert!((sum(&by_image) / sum(&image) - 1.0).abs() < 1e-4);
@@ -654,17 +656,17 @@ mod tests {
             let distances = ndarray::array![[4.0, 1.0], [1.0, 2.0]];
             let method = flattening::Flattening::EqualMeans(flattening::PsfWidth::Known(1.15));
             let (flat, _) =
-                flattening::flatten(second_order(&frames).view(), &distances, method).unwrap();
+                flattening::flatten(&second_order(&frames), &distances, method).unwrap();
             let mut settings = LinearizationSettings::new(Psf::from_fwhm(2.7).unwrap());
             settings.iterations = 10;
             settings.acceleration = Acceleration::BiggsAndrews;
             settings.reconvolution = Reconvolution::None;
-            let linear = linearize(flat.view(), 2, &settings).unwrap();
+            let linear = linearize(&flat, 2, &settings).unwrap();
             let correlation = correlation(&linear, &expected[0]);
             let plain = {
                 settings.acceleration = Acceleration::None;
                 settings.iterations = 20;
-                linearize(flat.view(), 2, &settings).unwrap()
+                linearize(&flat, 2, &settings).unwrap()
             };
             let of_plain = self::correlation(&plain, &expected[0]);
             println!(
@@ -682,7 +684,7 @@ mod tests {
         for acceleration in [Acceleration::None, Acceleration::BiggsAndrews] {
             settings.acceleration = acceleration;
             let start = Instant::now();
-            linearize(image.view(), 2, &settings).unwrap();
+            linearize(&image, 2, &settings).unwrap();
             println!("{acceleration:?}: {:?}", start.elapsed());
         }
     }

@@ -5,7 +5,7 @@
 //! Never: reads files or fits beads; an image that cannot be a point-spread function is refused.
 //! Fails: [`PsfError`].
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, ArrayRef2};
 use thiserror::Error;
 
 /// Widest Gaussian accepted, standard deviation in pixels.
@@ -109,7 +109,7 @@ impl Psf {
     ///
     /// # Errors
     /// [`PsfError::Size`], [`PsfError::Values`], [`PsfError::OffCenter`].
-    pub fn image(values: ArrayView2<f32>) -> Result<Self, PsfError> {
+    pub fn image(values: &ArrayRef2<f32>) -> Result<Self, PsfError> {
         PsfImage::new(values).map(Self::Image)
     }
 
@@ -124,7 +124,7 @@ impl Psf {
         }
         match self {
             Self::Gaussian(gaussian) => Self::gaussian(gaussian.sigma * (order as f64).sqrt()),
-            Self::Image(image) => Self::image(image.power_on_finer_grid(order).view()),
+            Self::Image(image) => Self::image(&image.power_on_finer_grid(order)),
         }
     }
 
@@ -183,7 +183,7 @@ impl PsfImage {
     ///
     /// # Errors
     /// [`PsfError::Size`], [`PsfError::Values`], [`PsfError::OffCenter`].
-    pub fn new(values: ArrayView2<f32>) -> Result<Self, PsfError> {
+    pub fn new(values: &ArrayRef2<f32>) -> Result<Self, PsfError> {
         let (height, width) = values.dim();
         if height % 2 == 0 || width % 2 == 0 {
             return Err(PsfError::Size { height, width });
@@ -205,8 +205,8 @@ impl PsfImage {
 
     /// The values, sum 1, the center pixel at `(height / 2, width / 2)`.
     #[must_use]
-    pub fn values(&self) -> ArrayView2<'_, f32> {
-        self.values.view()
+    pub fn values(&self) -> &ArrayRef2<f32> {
+        &self.values
     }
 
     fn sigma(&self) -> f64 {
@@ -296,23 +296,23 @@ mod tests {
 
     #[test]
     fn images_that_are_no_psf_are_refused() {
-        let even = Psf::image(Array2::ones((4, 5)).view());
+        let even = Psf::image(&Array2::ones((4, 5)));
         assert!(matches!(even, Err(PsfError::Size { .. })));
-        let dark = Psf::image(Array2::zeros((3, 3)).view());
+        let dark = Psf::image(&Array2::zeros((3, 3)));
         assert_eq!(dark, Err(PsfError::Values));
         let mut corner = Array2::zeros((5, 5));
         corner[[0, 0]] = 1.0;
-        let off_center = Psf::image(corner.view());
+        let off_center = Psf::image(&corner);
         assert!(matches!(off_center, Err(PsfError::OffCenter { .. })));
         corner[[2, 2]] = f32::NAN;
-        assert_eq!(Psf::image(corner.view()), Err(PsfError::Values));
+        assert_eq!(Psf::image(&corner), Err(PsfError::Values));
         corner[[2, 2]] = -1.0;
-        assert_eq!(Psf::image(corner.view()), Err(PsfError::Values));
+        assert_eq!(Psf::image(&corner), Err(PsfError::Values));
     }
 
     #[test]
     fn an_image_of_a_gaussian_behaves_like_the_gaussian() {
-        let image = Psf::image(gaussian_image(1.5, 9).view()).unwrap();
+        let image = Psf::image(&gaussian_image(1.5, 9)).unwrap();
         assert!((image.sigma() - 1.5).abs() < 1e-3);
         for order in 2..=4 {
             let narrowed = image.narrowed(order).unwrap();

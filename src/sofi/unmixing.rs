@@ -7,7 +7,7 @@
 //! Fails: [`UnmixingError`]; dyes that cannot be told apart are named.
 
 use nalgebra::{DMatrix, DVector};
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, ArrayRef2, ArrayView2};
 use rayon::prelude::*;
 use thiserror::Error;
 
@@ -137,7 +137,7 @@ impl UnmixingMatrix {
             0 => species[i].response.reflection(),
             _ => species[i].response.transmission(),
         });
-        Self::from_proportions(order, &names, shares.view())
+        Self::from_proportions(order, &names, &shares)
     }
 
     /// Any number `N_p` of physical channels (Eq. S4): `M[(c_1..c_n), i] = prod_j P[c_j, i]`.
@@ -151,7 +151,7 @@ impl UnmixingMatrix {
     pub fn from_proportions(
         order: usize,
         names: &[String],
-        proportions: ArrayView2<f64>,
+        proportions: &ArrayRef2<f64>,
     ) -> Result<Self, UnmixingError> {
         check_proportions(order, names, proportions)?;
         let spectral_channels = channel_sets(order, proportions.nrows());
@@ -697,7 +697,7 @@ fn to_array(matrix: &DMatrix<f64>) -> Array2<f64> {
 fn check_proportions(
     order: usize,
     names: &[String],
-    proportions: ArrayView2<f64>,
+    proportions: &ArrayRef2<f64>,
 ) -> Result<(), UnmixingError> {
     let (physical_channels, columns) = proportions.dim();
     if names.is_empty() {
@@ -1048,10 +1048,10 @@ mod tests {
         assert_eq!(channel_sets(3, 1), [[0, 0, 0]]);
         assert_eq!(channel_sets(4, 3).len(), 15);
         let one = Array2::from_elem((1, 1), 0.5);
-        let matrix = UnmixingMatrix::from_proportions(3, &names(1), one.view()).unwrap();
+        let matrix = UnmixingMatrix::from_proportions(3, &names(1), &one).unwrap();
         assert!((matrix.matrix()[[0, 0]] - 0.125).abs() < 1e-15);
         let three = Array2::from_shape_vec((3, 1), vec![0.5, 0.3, 0.2]).unwrap();
-        let matrix = UnmixingMatrix::from_proportions(2, &names(1), three.view()).unwrap();
+        let matrix = UnmixingMatrix::from_proportions(2, &names(1), &three).unwrap();
         assert!((matrix.matrix()[[4, 0]] - 0.06).abs() < 1e-15);
     }
 
@@ -1089,7 +1089,7 @@ mod tests {
         )
         .unwrap();
         let Err(UnmixingError::Indistinguishable { groups, .. }) =
-            UnmixingMatrix::from_proportions(1, &names(4), shares.view())
+            UnmixingMatrix::from_proportions(1, &names(4), &shares)
         else {
             panic!()
         };
@@ -1110,12 +1110,12 @@ mod tests {
         assert!(matches!(refused(99, &[0.5]), UnmixingError::Order { .. }));
         let shares = |value| Array2::from_elem((2, 1), value);
         for bad in [f64::NAN, -0.1, 1.1] {
-            let error = UnmixingMatrix::from_proportions(2, &names(1), shares(bad).view());
+            let error = UnmixingMatrix::from_proportions(2, &names(1), &shares(bad));
             assert!(matches!(error, Err(UnmixingError::Coefficient { .. })));
         }
-        let dark = UnmixingMatrix::from_proportions(2, &names(1), shares(0.0).view());
+        let dark = UnmixingMatrix::from_proportions(2, &names(1), &shares(0.0));
         assert!(matches!(dark, Err(UnmixingError::Invisible { .. })));
-        let unnamed = UnmixingMatrix::from_proportions(2, &[], shares(0.5).view());
+        let unnamed = UnmixingMatrix::from_proportions(2, &[], &shares(0.5));
         assert!(unnamed.is_err());
     }
 
