@@ -114,7 +114,8 @@ impl Psf {
     }
 
     /// `U^n` on the `n`-fold grid: the point-spread function of the `n`-th order image, in *its*
-    /// pixels. A Gaussian narrows by `sqrt(n)` and the grid is `n` times finer, so `sigma sqrt(n)`.
+    /// pixels. A Gaussian narrows by `sqrt(n)` and the grid is `n` times finer, so `sigma sqrt(n)`;
+    /// an image is interpolated by cubics before the power is taken.
     ///
     /// # Errors
     /// [`PsfError::Order`] for order 0; those of the constructors.

@@ -545,14 +545,16 @@ impl ActiveSets {
             passive |= 1 << entering;
             loop {
                 product(&self.inverses[passive], kappa, &mut trial[..count]);
-                let step = longest_step(species, &trial, passive);
-                for (s, t) in species.iter_mut().zip(&trial) {
-                    *s += step * (t - *s);
-                }
-                if step >= 1.0 {
+                let Some((leaving, step)) = first_to_vanish(species, &trial, passive) else {
+                    species.copy_from_slice(&trial[..count]);
                     break;
+                };
+                for (s, t) in species.iter_mut().zip(&trial) {
+                    *s = (*s + step * (t - *s)).max(0.0);
                 }
-                passive &= !blocked(species, &trial, passive, 1e-14 * scale);
+                // Set by name, not by size, so that each turn makes the set smaller.
+                species[leaving] = 0.0;
+                passive &= !(1 << leaving);
             }
         }
     }
@@ -580,25 +582,15 @@ impl ActiveSets {
     }
 }
 
-/// Share of the way from `species` to `trial` until the first species of the set reaches zero.
-fn longest_step(species: &[f64], trial: &[f64], passive: usize) -> f64 {
+/// The species of the set that first reaches zero on the way from `species` to `trial`, and after
+/// which share of the way; nothing if `trial` is positive.
+fn first_to_vanish(species: &[f64], trial: &[f64], passive: usize) -> Option<(usize, f64)> {
     (0..species.len())
         .filter(|&i| passive & (1 << i) != 0 && trial[i] <= 0.0)
-        .map(|i| species[i] / (species[i] - trial[i]))
-        .map(|step| if step.is_finite() { step } else { 0.0 })
-        .fold(1.0, f64::min)
-}
-
-/// Takes the species that reached zero out of the set, and sets them to exactly zero.
-fn blocked(species: &mut [f64], trial: &[f64], passive: usize, tolerance: f64) -> usize {
-    let mut leaving = 0;
-    for (i, s) in species.iter_mut().enumerate() {
-        if passive & (1 << i) != 0 && trial[i] <= 0.0 && *s <= tolerance {
-            *s = 0.0;
-            leaving |= 1 << i;
-        }
-    }
-    leaving
+        .map(|i| (i, species[i] / (species[i] - trial[i])))
+        // From zero to zero there is no way to go: 0 / 0.
+        .map(|(i, step)| (i, if step.is_finite() { step } else { 0.0 }))
+        .min_by(|a, b| a.1.total_cmp(&b.1))
 }
 
 fn subset_inverse(matrix: &DMatrix<f64>, set: usize) -> DMatrix<f64> {
