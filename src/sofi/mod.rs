@@ -3,9 +3,20 @@
 //! | step | file | paper |
 //! |---|---|---|
 //! | which pixels make which virtual pixel | [`grid`] | Fig. 1b |
-//! | running spatio-temporal and spectral cross-cumulants | [`cumulant`] | Eq. 2, S2, S4 |
+//! | 2: running spatio-temporal and spectral cross-cumulants | [`cumulant`] | Eq. 2, S2, S4 |
+//! | 3: species from spectral channels | [`unmixing`], [`spectra`] | Eq. 2, S2, Table S1 |
+//! | 4: equal weights for the shifted sub-grids | [`flattening`], [`psf`] | Eq. S6 |
+//! | 5: brightness that is linear again | [`linearization`], [`convolution`] | main text, step 5 |
+//! | on-time ratio, brightness and density from three orders | [`balancing`] | bSOFI |
 //!
-//! Never: reads a clock, a file or a random number, starts a thread, knows a device.
+//! Never: reads a clock or a file, draws a random number, knows a device.
 
+pub mod balancing;
+pub mod convolution;
 pub mod cumulant;
+pub mod flattening;
 pub mod grid;
+pub mod linearization;
+pub mod psf;
+pub mod spectra;
+pub mod unmixing;
