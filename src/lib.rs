@@ -1,6 +1,25 @@
-//! Live multicolor super-resolution imaging with two cameras.
+//! Live multicolor super-resolution imaging (SOFI) with two cameras: the rooms in the order light travels.
+//!
+//! ```text
+//! cameras ─► pairing ─► registration ─► cumulants ─► unmixing ─► flattening ─► linearization ─► picture
+//! drivers    files                      sofi         sofi        sofi          sofi             display
+//!                                       └────────────── reconstruction ──────────────┘         report
+//! ```
+//!
+//! | room | what happens there |
+//! |---|---|
+//! | [`files`] | image stacks in, result images out |
+//! | [`sofi`] | the mathematics, one file per step of the paper |
+//! | [`reconstruction`] | exposures to images: runs `sofi` on all cores |
+//! | [`display`] | colormaps, contrast, composites, scale bars |
+//! | [`report`] | one analysis as JSON and as a page to show |
+//! | [`config`] | dyes, dichroics and settings, checked |
+//! | [`app`] | the commands; the only room that knows every other |
 
+pub mod app;
+pub mod config;
 pub mod display;
 pub mod files;
+pub mod reconstruction;
 pub mod report;
 pub mod sofi;

@@ -1,5 +1,6 @@
 //! `bench`: pairs per second per order beside the machine's own memory bandwidth, measured in the same run.
 
+use super::AppError;
 use crate::reconstruction::AllCores;
 use crate::sofi::cumulant::{CumulantEngine, CumulantSettings, Exposure};
 use crate::sofi::grid::Combinations;
@@ -40,10 +41,30 @@ pub struct Case {
 
 /// The cases of the command, the paper's camera size first.
 pub const CASES: [Case; 4] = [
-    Case { name: "two cameras, all spectral channels", order: 2, side: 2048, combinations: Combinations::AllClosest },
-    Case { name: "two cameras, all spectral channels", order: 3, side: 512, combinations: Combinations::AllClosest },
-    Case { name: "two cameras, all spectral channels", order: 4, side: 512, combinations: Combinations::AllClosest },
-    Case { name: "two cameras, one set per position", order: 4, side: 512, combinations: Combinations::OnePerPosition },
+    Case {
+        name: "two cameras, all spectral channels",
+        order: 2,
+        side: 2048,
+        combinations: Combinations::AllClosest,
+    },
+    Case {
+        name: "two cameras, all spectral channels",
+        order: 3,
+        side: 512,
+        combinations: Combinations::AllClosest,
+    },
+    Case {
+        name: "two cameras, all spectral channels",
+        order: 4,
+        side: 512,
+        combinations: Combinations::AllClosest,
+    },
+    Case {
+        name: "two cameras, one set per position",
+        order: 4,
+        side: 512,
+        combinations: Combinations::OnePerPosition,
+    },
 ];
 
 /// Measures one case: rounds of engine work and of plain reading in turn.
@@ -51,13 +72,19 @@ pub const CASES: [Case; 4] = [
 pub fn measure(case: Case, rounds: usize) -> Measurement {
     let pixels = case.side * case.side;
     let memory: Vec<Vec<u16>> = (0..2 * BLOCK).map(|frame| frame_of_noise(pixels, frame as u64)).collect();
-    let planes: Vec<[&[u16]; 2]> = (0..BLOCK).map(|pair| [&memory[2 * pair][..], &memory[2 * pair + 1][..]]).collect();
-    let settings = CumulantSettings { combinations: case.combinations, ..CumulantSettings::new(case.order, 2, 200) };
-    let mut engine = CumulantEngine::<u16>::new(settings, case.side, case.side).expect("the built-in cases are valid");
+    let planes: Vec<[&[u16]; 2]> =
+        (0..BLOCK).map(|pair| [&memory[2 * pair][..], &memory[2 * pair + 1][..]]).collect();
+    let settings =
+        CumulantSettings { combinations: case.combinations, ..CumulantSettings::new(case.order, 2, 200) };
+    let mut engine =
+        CumulantEngine::<u16>::new(settings, case.side, case.side).expect("the built-in cases are valid");
     let mut next = 0;
     let mut push_block = || {
-        let exposures: Vec<_> =
-            planes.iter().enumerate().map(|(i, planes)| Exposure { index: next + i as u64, planes }).collect();
+        let exposures: Vec<_> = planes
+            .iter()
+            .enumerate()
+            .map(|(i, planes)| Exposure { index: next + i as u64, planes })
+            .collect();
         engine.push(&AllCores, &exposures).expect("exposures rise");
         next += BLOCK as u64;
     };
@@ -132,4 +159,58 @@ fn frame_of_noise(pixels: usize, seed: u64) -> Vec<u16> {
         150 + (state >> 57) as u16
     };
     (0..pixels).map(|_| next()).collect()
+}
+
+/// Arguments of `bench`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  sofiscope bench\n  sofiscope bench --order 2 --json > speed.json")]
+pub struct BenchArguments {
+    /// Measure only the cases of this order
+    #[arg(long)]
+    order: Option<usize>,
+    /// Rounds per case; the median is reported
+    #[arg(long, default_value_t = 5)]
+    rounds: usize,
+    /// Print a list of objects on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs `bench`.
+///
+/// # Errors
+/// A usage error when no case has the order asked for.
+pub fn run(arguments: &BenchArguments) -> Result<(), AppError> {
+    let cases: Vec<Case> =
+        CASES.into_iter().filter(|case| arguments.order.is_none_or(|order| case.order == order)).collect();
+    if cases.is_empty() {
+        return Err(AppError::usage("bench has cases of order 2, 3 and 4; choose one of these with --order"));
+    }
+    let mut measurements = Vec::new();
+    for case in cases {
+        eprintln!("measuring {}, order {}, {} x {}", case.name, case.order, case.side, case.side);
+        let measurement = measure(case, arguments.rounds.max(1));
+        if !arguments.json {
+            println!("{}", line(&measurement));
+        }
+        measurements.push(measurement);
+    }
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&measurements).map_err(AppError::data)?);
+    }
+    Ok(())
+}
+
+fn line(m: &Measurement) -> String {
+    format!(
+        "{}, order {}, 2 x {} x {}: {:.1} pairs/s, {:.2} GB/s of input, {:.2} of the {:.1} GB/s that memory reads",
+        m.case,
+        m.order,
+        m.width,
+        m.height,
+        m.pairs_per_second,
+        m.input_bytes_per_second / 1e9,
+        m.input_bytes_per_second / m.read_bandwidth_bytes_per_second,
+        m.read_bandwidth_bytes_per_second / 1e9
+    )
 }

@@ -1,2 +1,12 @@
-//! The composition root.
+//! The composition root: commands, and the only room that knows every other.
+//!
+//! In: arguments. Out: files, progress on stderr, results on stdout, an exit code.
+//! Never: computes an image itself. Fails: [`AppError`], one or two sentences and an exit code.
+
 pub mod bench;
+mod cli;
+mod error;
+mod progress;
+
+pub use cli::{Arguments, run};
+pub use error::AppError;

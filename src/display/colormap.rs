@@ -109,11 +109,7 @@ impl Colormap {
 }
 
 /// As [`Colormap::color`], with the table at hand.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "clipped to 0..=255 first"
-)]
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clipped to 0..=255 first")]
 pub(super) fn color_in(table: &Table, fraction: f64) -> Rgb {
     if fraction.is_nan() {
         return NAN_COLOR;
@@ -141,13 +137,7 @@ fn build(map: Colormap) -> Table {
 
 /// Interpolates along the control points in linear light, at the place where the gray value is `t`.
 fn morgenstemning() -> Table {
-    let points = [
-        [0, 0, 0],
-        [25, 53, 95],
-        [192, 27, 111],
-        [252, 229, 0],
-        [255, 255, 255],
-    ];
+    let points = [[0, 0, 0], [25, 53, 95], [192, 27, 111], [252, 229, 0], [255, 255, 255]];
     let linear = points.map(to_linear);
     let places = linear.map(mean);
     sample(|t| from_linear(piecewise(&places, &linear, t.powf(GAMMA))))
@@ -155,13 +145,7 @@ fn morgenstemning() -> Table {
 
 /// Scales the control points to one gray value and interpolates in linear light, which keeps it.
 fn isolum() -> Table {
-    let points = [
-        [90, 190, 245],
-        [157, 157, 200],
-        [220, 150, 130],
-        [245, 120, 80],
-        [180, 180, 0],
-    ];
+    let points = [[90, 190, 245], [157, 157, 200], [220, 150, 130], [245, 120, 80], [180, 180, 0]];
     let linear = points.map(to_linear);
     let grays = linear.map(|color| mean(color).powf(1.0 / GAMMA));
     let common = (grays.iter().sum::<f64>() / 5.0).powf(GAMMA);
@@ -210,11 +194,7 @@ fn mean(color: [f64; 3]) -> f64 {
     color.iter().sum::<f64>() / 3.0
 }
 
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "clipped to 0..=255 first"
-)]
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clipped to 0..=255 first")]
 fn to_byte(channel: f64) -> u8 {
     (channel.clamp(0.0, 1.0) * 255.0).round() as u8
 }
@@ -226,19 +206,10 @@ mod tests {
 
     /// CIE L* of an sRGB color, 0 to 100.
     fn lightness(color: Rgb) -> f64 {
-        let linear = to_unit(color).map(|c| {
-            if c <= 0.04045 {
-                c / 12.92
-            } else {
-                ((c + 0.055) / 1.055).powf(2.4)
-            }
-        });
+        let linear =
+            to_unit(color).map(|c| if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) });
         let y = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2];
-        if y > 0.008_856 {
-            116.0 * y.cbrt() - 16.0
-        } else {
-            903.3 * y
-        }
+        if y > 0.008_856 { 116.0 * y.cbrt() - 16.0 } else { 903.3 * y }
     }
 
     fn gray_value(color: Rgb) -> f64 {
@@ -265,10 +236,7 @@ mod tests {
         assert_eq!(ends(Colormap::CyanHot), black_to_white);
         assert_eq!(ends(Colormap::YellowHot), black_to_white);
         assert_eq!(ends(Colormap::MagentaHot), black_to_white);
-        assert_eq!(
-            ends(Colormap::Viridis),
-            ([0x44, 1, 0x54], [0xFD, 0xE7, 0x25])
-        );
+        assert_eq!(ends(Colormap::Viridis), ([0x44, 1, 0x54], [0xFD, 0xE7, 0x25]));
         assert_eq!(ends(Colormap::Ametrine), ([30, 60, 150], [220, 220, 0]));
         assert_eq!(Colormap::Gray.color(-3.0), [0, 0, 0]);
         assert_eq!(Colormap::Gray.color(f64::INFINITY), [255; 3]);
@@ -277,19 +245,9 @@ mod tests {
     #[test]
     fn lightness_grows_where_promised() {
         use Colormap::{CyanHot, Gray, MagentaHot, Morgenstemning, Viridis, YellowHot};
-        for map in [
-            Gray,
-            Viridis,
-            Morgenstemning,
-            CyanHot,
-            YellowHot,
-            MagentaHot,
-        ] {
+        for map in [Gray, Viridis, Morgenstemning, CyanHot, YellowHot, MagentaHot] {
             for pair in map.table().windows(2) {
-                assert!(
-                    lightness(pair[1]) >= lightness(pair[0]) - 0.25,
-                    "{map:?} {pair:?}"
-                );
+                assert!(lightness(pair[1]) >= lightness(pair[0]) - 0.25, "{map:?} {pair:?}");
             }
             assert!(lightness(map.color(0.75)) > lightness(map.color(0.25)) + 20.0);
         }
@@ -298,29 +256,16 @@ mod tests {
     #[test]
     fn morgenstemning_has_a_linear_gray_value_and_passes_its_control_points() {
         for (index, &color) in Colormap::Morgenstemning.table().iter().enumerate() {
-            assert!(
-                (gray_value(color) - index as f64 / 255.0).abs() < 0.005,
-                "{index}"
-            );
+            assert!((gray_value(color) - index as f64 / 255.0).abs() < 0.005, "{index}");
         }
         let red = Colormap::Morgenstemning.color(gray_value([192, 27, 111]));
-        assert!(
-            red.iter()
-                .zip([192, 27, 111])
-                .all(|(&a, b)| a.abs_diff(b) < 4),
-            "{red:?}"
-        );
+        assert!(red.iter().zip([192, 27, 111]).all(|(&a, b)| a.abs_diff(b) < 4), "{red:?}");
     }
 
     #[test]
     fn isolum_keeps_its_gray_value() {
         let first = gray_value(Colormap::Isolum.color(0.0));
-        assert!(
-            Colormap::Isolum
-                .table()
-                .iter()
-                .all(|&c| (gray_value(c) - first).abs() < 0.01)
-        );
+        assert!(Colormap::Isolum.table().iter().all(|&c| (gray_value(c) - first).abs() < 0.01));
     }
 
     #[test]
@@ -328,12 +273,8 @@ mod tests {
         for map in Colormap::ALL {
             assert_eq!(map.color(f64::NAN), NAN_COLOR);
             for entry in map.table() {
-                let distance = |a: Rgb| {
-                    a.iter()
-                        .zip(entry)
-                        .map(|(&a, &b)| i32::from(a.abs_diff(b)).pow(2))
-                        .sum::<i32>()
-                };
+                let distance =
+                    |a: Rgb| a.iter().zip(entry).map(|(&a, &b)| i32::from(a.abs_diff(b)).pow(2)).sum::<i32>();
                 assert!(distance(NAN_COLOR) > 40 * 40, "{map:?} {entry:?}");
                 assert!(distance(SATURATED_COLOR) > 40 * 40, "{map:?} {entry:?}");
             }

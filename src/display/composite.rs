@@ -34,23 +34,13 @@ pub fn composite(layers: &[Layer<'_>]) -> Result<RgbImage, DisplayError> {
     for layer in layers {
         let (found_height, found_width) = layer.image.dim();
         if (found_height, found_width) != (height, width) {
-            return Err(DisplayError::Shape {
-                what: "layer",
-                found_height,
-                found_width,
-                height,
-                width,
-            });
+            return Err(DisplayError::Shape { what: "layer", found_height, found_width, height, width });
         }
     }
     RgbImage::from_fn(height, width, |y, x| sum_at(layers, y, x))
 }
 
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "the cast clips to 0..=255"
-)]
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast clips to 0..=255")]
 fn sum_at(layers: &[Layer<'_>], y: usize, x: usize) -> Rgb {
     let mut sum = [0.0; 3];
     for layer in layers {
@@ -72,44 +62,24 @@ mod tests {
 
     #[test]
     fn known_planes_give_known_colors() {
-        let planes = [
-            array![[1.0, 0.0, 0.5, 1.0]],
-            array![[0.0, 0.0, 0.0, 1.0]],
-            array![[0.0, 0.0, 0.5, f32::NAN]],
-        ];
-        let limits = Limits {
-            low: 0.0,
-            high: 1.0,
-        };
+        let planes =
+            [array![[1.0, 0.0, 0.5, 1.0]], array![[0.0, 0.0, 0.0, 1.0]], array![[0.0, 0.0, 0.5, f32::NAN]]];
+        let limits = Limits { low: 0.0, high: 1.0 };
         let layers: Vec<_> = planes
             .iter()
             .zip([CYAN, YELLOW, MAGENTA])
-            .map(|(plane, color)| Layer {
-                image: plane.view(),
-                color,
-                limits,
-            })
+            .map(|(plane, color)| Layer { image: plane.view(), color, limits })
             .collect();
         let picture = composite(&layers).unwrap();
-        assert_eq!(
-            picture.bytes(),
-            [CYAN, [0; 3], [128, 128, 255], NAN_COLOR].as_flattened()
-        );
+        assert_eq!(picture.bytes(), [CYAN, [0; 3], [128, 128, 255], NAN_COLOR].as_flattened());
         assert_eq!(composite(&layers[..2]).unwrap().get(0, 3), Some([255; 3]));
     }
 
     #[test]
     fn unequal_or_missing_layers_are_refused() {
         let (small, large) = (array![[1.0]], array![[1.0, 2.0]]);
-        let limits = Limits {
-            low: 0.0,
-            high: 1.0,
-        };
-        let layer = |image| Layer {
-            image,
-            color: CYAN,
-            limits,
-        };
+        let limits = Limits { low: 0.0, high: 1.0 };
+        let layer = |image| Layer { image, color: CYAN, limits };
         assert!(composite(&[layer(small.view()), layer(large.view())]).is_err());
         assert!(composite(&[]).is_err());
     }

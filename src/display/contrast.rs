@@ -24,11 +24,7 @@ impl Limits {
         }
         let fraction = (value - self.low) / (self.high - self.low);
         // Limits that coincide show a step instead of nothing.
-        if fraction.is_nan() {
-            f64::from(u8::from(value > self.low))
-        } else {
-            fraction.clamp(0.0, 1.0)
-        }
+        if fraction.is_nan() { f64::from(u8::from(value > self.low)) } else { fraction.clamp(0.0, 1.0) }
     }
 }
 
@@ -56,10 +52,7 @@ pub enum Contrast {
 impl Default for Contrast {
     /// 0.1 % to 99.9 %.
     fn default() -> Self {
-        Self::Percentile {
-            low: 0.1,
-            high: 99.9,
-        }
+        Self::Percentile { low: 0.1, high: 99.9 }
     }
 }
 
@@ -75,22 +68,12 @@ impl Contrast {
             Self::Percentile { low, high } => (Some(low.min(high)), low.max(high)),
             Self::FromZero { high } => (None, high),
         };
-        let mut finite: Vec<f32> = values
-            .into_iter()
-            .copied()
-            .filter(|value| value.is_finite())
-            .collect();
+        let mut finite: Vec<f32> = values.into_iter().copied().filter(|value| value.is_finite()).collect();
         let lowest = low.map_or(Some(0.0), |low| percentile(&mut finite, low));
         match (lowest, percentile(&mut finite, high)) {
             (Some(low), Some(high)) if high > low => Limits { low, high },
-            (Some(low), Some(_)) => Limits {
-                low,
-                high: low + low.abs().max(1.0),
-            },
-            _ => Limits {
-                low: 0.0,
-                high: 1.0,
-            },
+            (Some(low), Some(_)) => Limits { low, high: low + low.abs().max(1.0) },
+            _ => Limits { low: 0.0, high: 1.0 },
         }
     }
 }
@@ -100,21 +83,13 @@ impl Contrast {
 ///
 /// Reorders the values and takes time proportional to their number.
 #[must_use]
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "a rank inside the slice"
-)]
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a rank inside the slice")]
 pub fn percentile(values: &mut [f32], percent: f64) -> Option<f64> {
     let last = values.len().checked_sub(1)?;
     let rank = percent.clamp(0.0, 100.0) / 100.0 * last as f64;
     let below = (rank.floor() as usize).min(last);
     let (_, &mut lower, above) = values.select_nth_unstable_by(below, f32::total_cmp);
-    let upper = above
-        .iter()
-        .copied()
-        .min_by(f32::total_cmp)
-        .unwrap_or(lower);
+    let upper = above.iter().copied().min_by(f32::total_cmp).unwrap_or(lower);
     let share = rank - below as f64;
     Some(f64::from(lower) * (1.0 - share) + f64::from(upper) * share)
 }
@@ -149,37 +124,15 @@ mod tests {
     #[test]
     fn holes_do_not_count() {
         let values = [f32::NAN, 1.0, 2.0, 3.0, f32::INFINITY];
-        let limits = Contrast::Percentile {
-            low: 0.0,
-            high: 100.0,
-        }
-        .limits(&values);
-        assert_eq!(
-            limits,
-            Limits {
-                low: 1.0,
-                high: 3.0
-            }
-        );
+        let limits = Contrast::Percentile { low: 0.0, high: 100.0 }.limits(&values);
+        assert_eq!(limits, Limits { low: 1.0, high: 3.0 });
     }
 
     #[test]
     fn unusual_images_have_usable_limits() {
         let contrast = Contrast::default();
-        assert_eq!(
-            contrast.limits(&[f32::NAN; 4]),
-            Limits {
-                low: 0.0,
-                high: 1.0
-            }
-        );
-        assert_eq!(
-            contrast.limits(&[]),
-            Limits {
-                low: 0.0,
-                high: 1.0
-            }
-        );
+        assert_eq!(contrast.limits(&[f32::NAN; 4]), Limits { low: 0.0, high: 1.0 });
+        assert_eq!(contrast.limits(&[]), Limits { low: 0.0, high: 1.0 });
         for constant in [0.0, 7.0, -1e30, f32::MAX] {
             let limits = contrast.limits(&[constant; 9]);
             assert!(limits.high > limits.low);
@@ -188,33 +141,18 @@ mod tests {
         let negative = contrast.limits(&[-5.0, -4.0, -3.0]);
         assert!(negative.low < negative.high && negative.high < 0.0);
         let from_zero = Contrast::FromZero { high: 99.0 };
-        assert_eq!(
-            from_zero.limits(&[-5.0, -4.0]),
-            Limits {
-                low: 0.0,
-                high: 1.0
-            }
-        );
+        assert_eq!(from_zero.limits(&[-5.0, -4.0]), Limits { low: 0.0, high: 1.0 });
         assert_eq!(from_zero.limits(&[-5.0, 4.0, 4.0, 4.0]).high, 4.0);
     }
 
     #[test]
     fn manual_limits_win() {
-        let limits = Limits {
-            low: -1.0,
-            high: 3.0,
-        };
+        let limits = Limits { low: -1.0, high: 3.0 };
         assert_eq!(Contrast::Manual(limits).limits(&[100.0]), limits);
         assert_eq!(limits.fraction(1.0), 0.5);
         assert_eq!(limits.fraction(9.0), 1.0);
         assert!(limits.fraction(f64::NAN).is_nan());
-        let step = Limits {
-            low: 2.0,
-            high: 2.0,
-        };
-        assert_eq!(
-            (step.fraction(1.0), step.fraction(2.0), step.fraction(3.0)),
-            (0.0, 0.0, 1.0)
-        );
+        let step = Limits { low: 2.0, high: 2.0 };
+        assert_eq!((step.fraction(1.0), step.fraction(2.0), step.fraction(3.0)), (0.0, 0.0, 1.0));
     }
 }

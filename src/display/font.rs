@@ -34,10 +34,7 @@ fn glyph(letter: char) -> [u8; ROWS] {
 /// Width and height of a text in pixels, letters `size` times as large.
 pub(super) fn extent(text: &str, size: usize) -> (usize, usize) {
     let letters = text.chars().count();
-    (
-        (letters * (COLUMNS + 1)).saturating_sub(1) * size,
-        ROWS * size,
-    )
+    ((letters * (COLUMNS + 1)).saturating_sub(1) * size, ROWS * size)
 }
 
 /// Pixels `(y, x)` covered by a text whose upper left corner is at `(top, left)`.
@@ -62,11 +59,7 @@ mod tests {
     fn letters_stay_inside_their_extent() {
         let (width, height) = extent("10 µm", 3);
         assert_eq!((width, height), (87, 24));
-        assert!(
-            pixels("10 µm", 3, 0, 0)
-                .iter()
-                .all(|&(y, x)| y < height && x < width)
-        );
+        assert!(pixels("10 µm", 3, 0, 0).iter().all(|&(y, x)| y < height && x < width));
     }
 
     #[test]
@@ -74,11 +67,7 @@ mod tests {
         let letters: Vec<char> = "0123456789.mnµ-".chars().collect();
         for (index, &letter) in letters.iter().enumerate() {
             assert_ne!(glyph(letter), glyph('?'));
-            assert!(
-                letters[index + 1..]
-                    .iter()
-                    .all(|&other| glyph(other) != glyph(letter))
-            );
+            assert!(letters[index + 1..].iter().all(|&other| glyph(other) != glyph(letter)));
         }
     }
 }

@@ -28,19 +28,12 @@ impl RgbImage {
         mut color_at: impl FnMut(usize, usize) -> Rgb,
     ) -> Result<Self, DisplayError> {
         let sides = 1..=LARGEST_SIDE;
-        if !sides.contains(&height)
-            || !sides.contains(&width)
-            || height.checked_mul(3 * width).is_none()
-        {
+        if !sides.contains(&height) || !sides.contains(&width) || height.checked_mul(3 * width).is_none() {
             return Err(DisplayError::Size { height, width });
         }
         let positions = (0..height).flat_map(|y| (0..width).map(move |x| (y, x)));
         let pixels = positions.map(|(y, x)| color_at(y, x)).collect();
-        Ok(Self {
-            height,
-            width,
-            pixels,
-        })
+        Ok(Self { height, width, pixels })
     }
 
     /// Height in pixels.
@@ -79,13 +72,8 @@ impl RgbImage {
     /// # Errors
     /// [`DisplayError::Size`] if `factor` is zero or the result too large.
     pub fn enlarged(&self, factor: usize) -> Result<Self, DisplayError> {
-        let (height, width) = (
-            self.height.saturating_mul(factor),
-            self.width.saturating_mul(factor),
-        );
-        Self::from_fn(height, width, |y, x| {
-            self.pixels[(y / factor) * self.width + x / factor]
-        })
+        let (height, width) = (self.height.saturating_mul(factor), self.width.saturating_mul(factor));
+        Self::from_fn(height, width, |y, x| self.pixels[(y / factor) * self.width + x / factor])
     }
 
     /// The picture `factor` times as small, each pixel the mean of a square; an incomplete last row or
@@ -95,9 +83,7 @@ impl RgbImage {
     /// [`DisplayError::Size`] if `factor` is zero or larger than a side.
     pub fn reduced(&self, factor: usize) -> Result<Self, DisplayError> {
         let shrink = |side: usize| side.checked_div(factor).unwrap_or(0);
-        Self::from_fn(shrink(self.height), shrink(self.width), |y, x| {
-            self.mean_of_square(y, x, factor)
-        })
+        Self::from_fn(shrink(self.height), shrink(self.width), |y, x| self.mean_of_square(y, x, factor))
     }
 
     /// The picture with its longer side brought near `side` pixels by a whole factor, and that factor:

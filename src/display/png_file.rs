@@ -49,10 +49,7 @@ impl RgbImage {
     /// [`DisplayError::Encode`] if the encoder refuses, [`DisplayError::Write`] if the file cannot be written.
     pub fn write_png(&self, path: &Path, notes: &PngNotes) -> Result<(), DisplayError> {
         let bytes = self.to_png(notes)?;
-        std::fs::write(path, bytes).map_err(|source| DisplayError::Write {
-            path: path.to_owned(),
-            source,
-        })
+        std::fs::write(path, bytes).map_err(|source| DisplayError::Write { path: path.to_owned(), source })
     }
 }
 
@@ -61,10 +58,7 @@ fn software() -> String {
 }
 
 fn side(pixels: usize) -> Result<u32, DisplayError> {
-    u32::try_from(pixels).map_err(|_| DisplayError::Size {
-        height: pixels,
-        width: pixels,
-    })
+    u32::try_from(pixels).map_err(|_| DisplayError::Size { height: pixels, width: pixels })
 }
 
 #[cfg(test)]
@@ -74,30 +68,18 @@ mod tests {
     #[test]
     fn pixels_and_notes_come_back() {
         let image = RgbImage::from_fn(4, 6, |y, x| [y as u8, x as u8, 200]).unwrap();
-        let notes = PngNotes {
-            title: Some("κ₂ of α".to_owned()),
-            pixel_pitch_nm: Some(54.0),
-        };
+        let notes = PngNotes { title: Some("κ₂ of α".to_owned()), pixel_pitch_nm: Some(54.0) };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("picture.png");
         image.write_png(&path, &notes).unwrap();
 
         let bytes = std::fs::read(&path).unwrap();
-        let mut reader = png::Decoder::new(std::io::Cursor::new(bytes))
-            .read_info()
-            .unwrap();
+        let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().unwrap();
         let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
         reader.next_frame(&mut pixels).unwrap();
         assert_eq!(pixels, image.bytes());
         let entries = &reader.info().utf8_text;
-        let text = |key: &str| {
-            entries
-                .iter()
-                .find(|e| e.keyword == key)
-                .unwrap()
-                .get_text()
-                .unwrap()
-        };
+        let text = |key: &str| entries.iter().find(|e| e.keyword == key).unwrap().get_text().unwrap();
         assert!(text("Software").starts_with("sofiscope "));
         assert_eq!(text("Title"), "κ₂ of α");
         assert_eq!(text("Pixel pitch (nm)"), "54");
@@ -106,9 +88,7 @@ mod tests {
     #[test]
     fn a_missing_folder_is_named() {
         let image = RgbImage::from_fn(1, 1, |_, _| [0; 3]).unwrap();
-        let error = image
-            .write_png(Path::new("/no/such/folder/a.png"), &PngNotes::default())
-            .unwrap_err();
+        let error = image.write_png(Path::new("/no/such/folder/a.png"), &PngNotes::default()).unwrap_err();
         assert!(error.to_string().contains("/no/such/folder/a.png"));
     }
 }

@@ -16,16 +16,10 @@ use super::picture::RgbImage;
 ///
 /// # Errors
 /// [`DisplayError::Size`] if the image is empty.
-pub fn render(
-    image: &ArrayRef2<f32>,
-    map: Colormap,
-    limits: Limits,
-) -> Result<RgbImage, DisplayError> {
+pub fn render(image: &ArrayRef2<f32>, map: Colormap, limits: Limits) -> Result<RgbImage, DisplayError> {
     let table = map.table();
     let (height, width) = image.dim();
-    RgbImage::from_fn(height, width, |y, x| {
-        color_in(table, limits.fraction(f64::from(image[(y, x)])))
-    })
+    RgbImage::from_fn(height, width, |y, x| color_in(table, limits.fraction(f64::from(image[(y, x)]))))
 }
 
 /// Draws raw camera counts `(y, x)`; pixels at or above `saturation_counts` become [`SATURATED_COLOR`].
@@ -61,13 +55,7 @@ pub fn mark_saturated(
     let (height, width) = (picture.height(), picture.width());
     let factor = height.checked_div(found_height).unwrap_or(0);
     if factor == 0 || (found_height * factor, found_width * factor) != (height, width) {
-        return Err(DisplayError::Shape {
-            what: "raw image",
-            found_height,
-            found_width,
-            height,
-            width,
-        });
+        return Err(DisplayError::Shape { what: "raw image", found_height, found_width, height, width });
     }
     for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
         if counts[(y / factor, x / factor)] >= saturation_counts {
@@ -84,10 +72,7 @@ mod tests {
     use super::super::color::NAN_COLOR;
     use super::*;
 
-    const LIMITS: Limits = Limits {
-        low: 0.0,
-        high: 255.0,
-    };
+    const LIMITS: Limits = Limits { low: 0.0, high: 255.0 };
 
     #[test]
     fn values_and_holes() {

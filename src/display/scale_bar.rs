@@ -30,11 +30,7 @@ impl ScaleBar {
     pub fn choose(width_px: usize, pixel_pitch_nm: f64) -> Option<Self> {
         let length_nm = nice_length_at_most(width_px as f64 * pixel_pitch_nm / 4.0)?;
         let length_px = (length_nm / pixel_pitch_nm).round() as usize;
-        (length_px >= 2).then(|| Self {
-            length_nm,
-            length_px,
-            label: label(length_nm),
-        })
+        (length_px >= 2).then(|| Self { length_nm, length_px, label: label(length_nm) })
     }
 }
 
@@ -55,15 +51,10 @@ impl RgbImage {
             return None;
         }
         let center = self.width() - margin - block / 2;
-        let (top, left) = (
-            self.height() - margin - thickness,
-            center - bar.length_px / 2,
-        );
+        let (top, left) = (self.height() - margin - thickness, center - bar.length_px / 2);
         let text_top = top - 2 * size - label_height;
         let mut marks = font::pixels(&bar.label, size, text_top, center - label_width / 2);
-        marks.extend(
-            (top..top + thickness).flat_map(|y| (left..left + bar.length_px).map(move |x| (y, x))),
-        );
+        marks.extend((top..top + thickness).flat_map(|y| (left..left + bar.length_px).map(move |x| (y, x))));
         self.draw_with_rim(&marks, size);
         Some(bar)
     }
@@ -72,11 +63,7 @@ impl RgbImage {
         let rim = rim.div_ceil(2);
         for &(y, x) in marks {
             for (dy, dx) in (0..=2 * rim).flat_map(|dy| (0..=2 * rim).map(move |dx| (dy, dx))) {
-                self.set(
-                    (y + dy).wrapping_sub(rim),
-                    (x + dx).wrapping_sub(rim),
-                    [0; 3],
-                );
+                self.set((y + dy).wrapping_sub(rim), (x + dx).wrapping_sub(rim), [0; 3]);
             }
         }
         for &(y, x) in marks {
@@ -94,10 +81,7 @@ pub fn nice_length_at_most(length: f64) -> Option<f64> {
     let power = 10_f64.powf(length.log10().floor());
     // The margin keeps 1000 at 1000 although its logarithm may be rounded down.
     let fits = |&factor: &f64| factor * power <= length * (1.0 + 1e-9);
-    [10.0, 5.0, 2.0, 1.0]
-        .into_iter()
-        .find(fits)
-        .map(|factor| factor * power)
+    [10.0, 5.0, 2.0, 1.0].into_iter().find(fits).map(|factor| factor * power)
 }
 
 fn label(length_nm: f64) -> String {
@@ -118,18 +102,10 @@ mod tests {
 
     #[test]
     fn lengths_are_one_two_or_five() {
-        for (length, expected) in [
-            (1.0, 1.0),
-            (999.0, 500.0),
-            (1000.0, 1000.0),
-            (0.3, 0.2),
-            (4999.9, 2000.0),
-        ] {
+        for (length, expected) in [(1.0, 1.0), (999.0, 500.0), (1000.0, 1000.0), (0.3, 0.2), (4999.9, 2000.0)]
+        {
             let found = nice_length_at_most(length).unwrap();
-            assert!(
-                (found / expected - 1.0_f64).abs() < 1e-12,
-                "{length} {found}"
-            );
+            assert!((found / expected - 1.0_f64).abs() < 1e-12, "{length} {found}");
         }
         assert_eq!(nice_length_at_most(0.0), None);
         assert_eq!(nice_length_at_most(f64::NAN), None);
@@ -138,10 +114,7 @@ mod tests {
     #[test]
     fn bar_of_a_typical_field() {
         let bar = ScaleBar::choose(128, 54.0).unwrap();
-        assert_eq!(
-            (bar.length_nm, bar.length_px, bar.label.as_str()),
-            (1000.0, 19, "1 µm")
-        );
+        assert_eq!((bar.length_nm, bar.length_px, bar.label.as_str()), (1000.0, 19, "1 µm"));
         assert_eq!(ScaleBar::choose(4096, 54.0).unwrap().label, "50 µm");
         assert_eq!(ScaleBar::choose(64, 20.0).unwrap().label, "200 nm");
         assert_eq!(ScaleBar::choose(128, -1.0), None);
@@ -152,11 +125,7 @@ mod tests {
     fn drawn_bar_has_its_length_and_leaves_the_rest_alone() {
         let mut picture = RgbImage::from_fn(512, 512, |_, _| [40; 3]).unwrap();
         let bar = picture.draw_scale_bar(13.5).unwrap();
-        let white = |y: usize| {
-            (0..512)
-                .filter(|&x| picture.get(y, x) == Some([255; 3]))
-                .count()
-        };
+        let white = |y: usize| (0..512).filter(|&x| picture.get(y, x) == Some([255; 3])).count();
         let last_row = (0..512).rev().find(|&y| white(y) > 0).unwrap();
         assert_eq!(white(last_row), bar.length_px);
         assert_eq!(white(200), 0);

@@ -191,24 +191,16 @@ impl FileError {
         match source.kind() {
             io::ErrorKind::NotFound => FileError::Missing { path },
             io::ErrorKind::PermissionDenied => FileError::Denied { path, action },
-            io::ErrorKind::ReadOnlyFilesystem => FileError::OutputRefused {
-                path,
-                reason: "the disk is read-only".to_owned(),
-            },
-            io::ErrorKind::StorageFull
-            | io::ErrorKind::QuotaExceeded
-            | io::ErrorKind::FileTooLarge => FileError::DiskFull {
-                space: Space {
-                    needed_bytes: None,
-                    free_bytes: super::space::free_bytes(&path).ok(),
-                },
-                path,
-            },
-            _ => FileError::Io {
-                path,
-                action,
-                source,
-            },
+            io::ErrorKind::ReadOnlyFilesystem => {
+                FileError::OutputRefused { path, reason: "the disk is read-only".to_owned() }
+            }
+            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge => {
+                FileError::DiskFull {
+                    space: Space { needed_bytes: None, free_bytes: super::space::free_bytes(&path).ok() },
+                    path,
+                }
+            }
+            _ => FileError::Io { path, action, source },
         }
     }
 }

@@ -27,11 +27,7 @@ const NAMESPACE: &str = "sofiscope/settings";
 /// The document for one image.
 pub(super) fn document(image: &OmeImage<'_>) -> String {
     let has_settings = !image.settings.is_empty();
-    let annotation = if has_settings {
-        r#"<AnnotationRef ID="Annotation:0"/>"#
-    } else {
-        ""
-    };
+    let annotation = if has_settings { r#"<AnnotationRef ID="Annotation:0"/>"# } else { "" };
     format!(
         concat!(
             r#"<?xml version="1.0" encoding="UTF-8"?>"#,
@@ -55,8 +51,7 @@ fn pixels(image: &OmeImage<'_>) -> String {
     if let Some(size_nm) = image.pixel_size_nm {
         let size = size_nm / 1e3;
         for axis in ["X", "Y"] {
-            calibration +=
-                &format!(r#" PhysicalSize{axis}="{size}" PhysicalSize{axis}Unit="&#181;m""#);
+            calibration += &format!(r#" PhysicalSize{axis}="{size}" PhysicalSize{axis}Unit="&#181;m""#);
         }
     }
     if let Some(interval) = image.frame_interval_s {
@@ -90,9 +85,8 @@ fn settings(settings: &[(String, String)]) -> String {
     if settings.is_empty() {
         return String::new();
     }
-    let mut xml = format!(
-        r#"<StructuredAnnotations><MapAnnotation ID="Annotation:0" Namespace="{NAMESPACE}"><Value>"#
-    );
+    let mut xml =
+        format!(r#"<StructuredAnnotations><MapAnnotation ID="Annotation:0" Namespace="{NAMESPACE}"><Value>"#);
     for (key, value) in settings {
         xml += &format!(r#"<M K="{}">{}</M>"#, escape(key), escape(value));
     }
@@ -135,10 +129,7 @@ mod tests {
 
     #[test]
     fn text_is_escaped_into_ascii() {
-        assert_eq!(
-            escape("a<b> & \"µ\"\u{1}\n"),
-            "a&lt;b&gt; &amp; &quot;&#181;&quot; &#10;"
-        );
+        assert_eq!(escape("a<b> & \"µ\"\u{1}\n"), "a&lt;b&gt; &amp; &quot;&#181;&quot; &#10;");
         assert!(escape("κ_RR 𝛋").is_ascii());
     }
 }

@@ -28,8 +28,8 @@ impl OutputDirectory {
     /// [`FileError::OutputExists`] when `target` is taken, [`FileError::OutputRefused`] when its parent is missing
     /// or the disk is read-only, [`FileError::Denied`], [`FileError::DiskFull`].
     pub fn create(target: &Path) -> Result<OutputDirectory, FileError> {
-        let absolute = std::path::absolute(target)
-            .map_err(|source| FileError::from_io(target, "look up", source))?;
+        let absolute =
+            std::path::absolute(target).map_err(|source| FileError::from_io(target, "look up", source))?;
         let (Some(parent), Some(name)) = (absolute.parent(), absolute.file_name()) else {
             return Err(refused(target, "it has no name of its own"));
         };
@@ -40,11 +40,7 @@ impl OutputDirectory {
         }
         let stem = format!(".{}.partial-{}", name.to_string_lossy(), std::process::id());
         let partial = create_partial(target, parent, &stem)?;
-        Ok(OutputDirectory {
-            target: absolute.clone(),
-            parent: parent.to_path_buf(),
-            partial: Some(partial),
-        })
+        Ok(OutputDirectory { target: absolute.clone(), parent: parent.to_path_buf(), partial: Some(partial) })
     }
 
     /// The path that the results will have after [`commit`](OutputDirectory::commit).
@@ -72,9 +68,7 @@ impl OutputDirectory {
         fs::rename(&partial, &self.target).map_err(|source| match source.kind() {
             io::ErrorKind::DirectoryNotEmpty
             | io::ErrorKind::AlreadyExists
-            | io::ErrorKind::NotADirectory => FileError::OutputExists {
-                path: self.target.clone(),
-            },
+            | io::ErrorKind::NotADirectory => FileError::OutputExists { path: self.target.clone() },
             _ => FileError::from_io(&self.target, "create", source),
         })?;
         self.partial = None;
@@ -95,17 +89,12 @@ impl Drop for OutputDirectory {
 }
 
 fn refused(path: &Path, reason: &str) -> FileError {
-    FileError::OutputRefused {
-        path: path.to_path_buf(),
-        reason: reason.to_owned(),
-    }
+    FileError::OutputRefused { path: path.to_path_buf(), reason: reason.to_owned() }
 }
 
 /// Nothing or an empty directory may be at `target`; a link is something.
 fn ensure_vacant(target: &Path) -> Result<(), FileError> {
-    let taken = || FileError::OutputExists {
-        path: target.to_path_buf(),
-    };
+    let taken = || FileError::OutputExists { path: target.to_path_buf() };
     match fs::symlink_metadata(target) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
         Err(error) if error.kind() == io::ErrorKind::NotADirectory => {
@@ -114,8 +103,8 @@ fn ensure_vacant(target: &Path) -> Result<(), FileError> {
         Err(error) => Err(FileError::from_io(target, "look up", error)),
         Ok(metadata) if !metadata.is_dir() => Err(taken()),
         Ok(_) => {
-            let mut entries = fs::read_dir(target)
-                .map_err(|source| FileError::from_io(target, "read", source))?;
+            let mut entries =
+                fs::read_dir(target).map_err(|source| FileError::from_io(target, "read", source))?;
             entries.next().map_or(Ok(()), |_| Err(taken()))
         }
     }
@@ -131,10 +120,7 @@ fn create_partial(target: &Path, parent: &Path, stem: &str) -> Result<PathBuf, F
             Ok(()) => return Ok(partial),
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
             Err(error) if error.kind() == io::ErrorKind::PermissionDenied => {
-                return Err(FileError::Denied {
-                    path: parent.to_path_buf(),
-                    action: "write into",
-                });
+                return Err(FileError::Denied { path: parent.to_path_buf(), action: "write into" });
             }
             Err(error) => return Err(FileError::from_io(target, "create", error)),
         }
@@ -144,12 +130,9 @@ fn create_partial(target: &Path, parent: &Path, stem: &str) -> Result<PathBuf, F
 }
 
 fn sync_tree(directory: &Path) -> Result<(), FileError> {
-    let entries =
-        fs::read_dir(directory).map_err(|source| FileError::from_io(directory, "read", source))?;
+    let entries = fs::read_dir(directory).map_err(|source| FileError::from_io(directory, "read", source))?;
     for entry in entries {
-        let path = entry
-            .map_err(|source| FileError::from_io(directory, "read", source))?
-            .path();
+        let path = entry.map_err(|source| FileError::from_io(directory, "read", source))?.path();
         match fs::symlink_metadata(&path) {
             Ok(metadata) if metadata.is_dir() => sync_tree(&path)?,
             Ok(metadata) if metadata.is_file() => sync(&path)?,

@@ -49,11 +49,7 @@ pub struct ResultHeader {
 ///
 /// # Errors
 /// [`FileError::OutputExists`], [`FileError::NotWritable`] when planes and header disagree, [`FileError::DiskFull`] and its kin.
-pub fn write_result(
-    path: &Path,
-    header: &ResultHeader,
-    planes: &[&[f32]],
-) -> Result<(), FileError> {
+pub fn write_result(path: &Path, header: &ResultHeader, planes: &[&[f32]]) -> Result<(), FileError> {
     let sizes = [planes.len(), header.height, header.width];
     let mut format = page_format(path, sizes, 32, header.pixel_size_nm)?;
     ensure_consistent(path, header, planes)?;
@@ -71,17 +67,9 @@ pub fn write_result(
     writer.finish()
 }
 
-fn ensure_consistent(
-    path: &Path,
-    header: &ResultHeader,
-    planes: &[&[f32]],
-) -> Result<(), FileError> {
+fn ensure_consistent(path: &Path, header: &ResultHeader, planes: &[&[f32]]) -> Result<(), FileError> {
     if planes.len() != header.channels.len() {
-        let reason = format!(
-            "{} pages have {} names",
-            planes.len(),
-            header.channels.len()
-        );
+        let reason = format!("{} pages have {} names", planes.len(), header.channels.len());
         return Err(not_writable(path, reason));
     }
     let expected = header.height * header.width;

@@ -12,12 +12,8 @@ use super::{FileError, Space};
 /// # Errors
 /// [`FileError::Io`] and its kin when the file system does not answer.
 pub fn free_bytes(path: &Path) -> Result<u64, FileError> {
-    let absolute =
-        std::path::absolute(path).map_err(|source| FileError::from_io(path, "look up", source))?;
-    let existing = absolute
-        .ancestors()
-        .find(|ancestor| ancestor.exists())
-        .unwrap_or(Path::new("/"));
+    let absolute = std::path::absolute(path).map_err(|source| FileError::from_io(path, "look up", source))?;
+    let existing = absolute.ancestors().find(|ancestor| ancestor.exists()).unwrap_or(Path::new("/"));
     let disk = rustix::fs::statvfs(existing)
         .map_err(|errno| FileError::from_io(path, "ask the free space of", errno.into()))?;
     Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
@@ -34,10 +30,7 @@ pub fn ensure_free(path: &Path, needed_bytes: u64) -> Result<(), FileError> {
     }
     Err(FileError::DiskFull {
         path: path.to_path_buf(),
-        space: Space {
-            needed_bytes: Some(needed_bytes),
-            free_bytes: Some(free),
-        },
+        space: Space { needed_bytes: Some(needed_bytes), free_bytes: Some(free) },
     })
 }
 
@@ -56,9 +49,7 @@ mod tests {
     fn too_little_space_is_said_with_both_numbers() {
         let folder = tempfile::tempdir().unwrap();
         ensure_free(folder.path(), 0).unwrap();
-        let said = ensure_free(folder.path(), u64::MAX)
-            .unwrap_err()
-            .to_string();
+        let said = ensure_free(folder.path(), u64::MAX).unwrap_err().to_string();
         assert!(said.contains("needed") && said.contains("free"), "{said}");
     }
 }

@@ -194,12 +194,7 @@ impl ImageStack {
     }
 
     fn out_of_range(&self, noun: &'static str, index: usize, count: usize) -> FileError {
-        FileError::OutOfRange {
-            path: self.source.path.clone(),
-            noun,
-            index,
-            count,
-        }
+        FileError::OutOfRange { path: self.source.path.clone(), noun, index, count }
     }
 }
 

@@ -40,20 +40,11 @@ impl StackHeader {
     /// [`FileError::NotWritable`] when a size is zero or beyond what TIFF can say.
     pub fn file_bytes(&self, path: &Path) -> Result<u64, FileError> {
         let format = self.format(path)?;
-        Ok(file_bytes(
-            &format,
-            self.frames as u64,
-            self.document().len() as u64,
-        ))
+        Ok(file_bytes(&format, self.frames as u64, self.document().len() as u64))
     }
 
     fn format(&self, path: &Path) -> Result<PageFormat, FileError> {
-        page_format(
-            path,
-            [self.frames, self.height, self.width],
-            16,
-            self.pixel_size_nm,
-        )
+        page_format(path, [self.frames, self.height, self.width], 16, self.pixel_size_nm)
     }
 
     fn document(&self) -> String {
@@ -103,11 +94,7 @@ impl StackWriter {
     /// [`FileError::NotWritable`] for a frame of another size or one too many, [`FileError::DiskFull`].
     pub fn push(&mut self, counts: &[u16]) -> Result<(), FileError> {
         if counts.len() != self.frame_len {
-            let reason = format!(
-                "a frame has {} pixels, not {}",
-                self.frame_len,
-                counts.len()
-            );
+            let reason = format!("a frame has {} pixels, not {}", self.frame_len, counts.len());
             return Err(not_writable(&self.path, reason));
         }
         if self.writer.pages_written() >= self.frames as u64 {
@@ -139,8 +126,7 @@ pub(super) fn page_format(
     pixel_size_nm: Option<f64>,
 ) -> Result<PageFormat, FileError> {
     let sizes = (u32::try_from(height), u32::try_from(width));
-    let (Ok(rows), Ok(columns), false) = (sizes.0, sizes.1, [pages, height, width].contains(&0))
-    else {
+    let (Ok(rows), Ok(columns), false) = (sizes.0, sizes.1, [pages, height, width].contains(&0)) else {
         let reason = format!("{pages} pages of {height} x {width} pixels are no image");
         return Err(not_writable(path, reason));
     };
@@ -155,10 +141,7 @@ pub(super) fn page_format(
 }
 
 pub(super) fn not_writable(path: &Path, reason: String) -> FileError {
-    FileError::NotWritable {
-        path: path.to_path_buf(),
-        reason,
-    }
+    FileError::NotWritable { path: path.to_path_buf(), reason }
 }
 
 #[cfg(test)]
@@ -172,12 +155,7 @@ mod tests {
         let Ok(file) = OpenOptions::new().write(true).open(path) else {
             return;
         };
-        let header = StackHeader {
-            frames: 2,
-            height: 1024,
-            width: 1024,
-            ..StackHeader::default()
-        };
+        let header = StackHeader { frames: 2, height: 1024, width: 1024, ..StackHeader::default() };
         let format = header.format(path).unwrap();
         let mut writer = TiffWriter::over(file, path, format, 2, header.document()).unwrap();
         let error = writer.push(&vec![0; 2 << 20]).unwrap_err();
@@ -190,12 +168,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         for (frames, version) in [(10, 42), (10_000, 43)] {
             let path = folder.path().join(format!("{frames}.tif"));
-            let header = StackHeader {
-                frames,
-                height: 512,
-                width: 512,
-                ..StackHeader::default()
-            };
+            let header = StackHeader { frames, height: 512, width: 512, ..StackHeader::default() };
             let mut writer = StackWriter::create(&path, &header).unwrap();
             writer.push(&vec![0; 512 * 512]).unwrap();
             let said = writer.finish().unwrap_err().to_string();

@@ -55,9 +55,7 @@ impl TiffWriter {
         let mut options = OpenOptions::new();
         options.write(true).create_new(true);
         let file = options.open(path).map_err(|source| match source.kind() {
-            io::ErrorKind::AlreadyExists => FileError::OutputExists {
-                path: path.to_path_buf(),
-            },
+            io::ErrorKind::AlreadyExists => FileError::OutputExists { path: path.to_path_buf() },
             io::ErrorKind::NotFound => FileError::OutputRefused {
                 path: path.to_path_buf(),
                 reason: "its directory does not exist".to_owned(),
@@ -99,11 +97,8 @@ impl TiffWriter {
     pub(super) fn push(&mut self, pixels: &[u8]) -> Result<(), FileError> {
         let is_first = self.pages_written == 0;
         let is_last = self.pages_written + 1 == self.num_pages;
-        let mut description = if is_first {
-            std::mem::take(&mut self.description).into_bytes()
-        } else {
-            Vec::new()
-        };
+        let mut description =
+            if is_first { std::mem::take(&mut self.description).into_bytes() } else { Vec::new() };
         if is_first {
             description.push(0);
         }
@@ -119,25 +114,17 @@ impl TiffWriter {
 
     /// Hands everything to the operating system.
     pub(super) fn finish(mut self) -> Result<(), FileError> {
-        self.out
-            .flush()
-            .map_err(|source| FileError::from_io(&self.path, "write", source))
+        self.out.flush().map_err(|source| FileError::from_io(&self.path, "write", source))
     }
 
     fn put(&mut self, bytes: &[u8]) -> Result<(), FileError> {
-        self.out
-            .write_all(bytes)
-            .map_err(|source| FileError::from_io(&self.path, "write", source))?;
+        self.out.write_all(bytes).map_err(|source| FileError::from_io(&self.path, "write", source))?;
         self.position += bytes.len() as u64;
         Ok(())
     }
 
     fn header(&self) -> Vec<u8> {
-        let mark = if cfg!(target_endian = "little") {
-            b"II"
-        } else {
-            b"MM"
-        };
+        let mark = if cfg!(target_endian = "little") { b"II" } else { b"MM" };
         let mut header = mark.to_vec();
         if self.is_big {
             for number in [43_u16, 8, 0] {
@@ -186,9 +173,7 @@ impl TiffWriter {
 pub(super) fn file_bytes(format: &PageFormat, num_pages: u64, description_bytes: u64) -> u64 {
     let samples = u64::from(format.height) * u64::from(format.width);
     let pixels = samples.saturating_mul(u64::from(format.bits / 8));
-    num_pages
-        .saturating_mul(pixels.saturating_add(PAGE_OVERHEAD_BYTES))
-        .saturating_add(description_bytes)
+    num_pages.saturating_mul(pixels.saturating_add(PAGE_OVERHEAD_BYTES)).saturating_add(description_bytes)
 }
 
 /// Stands for the position of the pixels until it is known; no file is as long.
@@ -208,10 +193,7 @@ struct Fields {
 
 impl Fields {
     fn new(is_big: bool) -> Fields {
-        Fields {
-            is_big,
-            fields: Vec::new(),
-        }
+        Fields { is_big, fields: Vec::new() }
     }
 
     fn short(&mut self, tag: u16, value: u16) {
@@ -239,11 +221,7 @@ impl Fields {
     }
 
     fn offset_bytes(&self, value: u64) -> Vec<u8> {
-        if self.is_big {
-            value.to_ne_bytes().to_vec()
-        } else {
-            (value as u32).to_ne_bytes().to_vec()
-        }
+        if self.is_big { value.to_ne_bytes().to_vec() } else { (value as u32).to_ne_bytes().to_vec() }
     }
 
     /// The bytes of the directory at file position `start` and of all values that do not fit into it.
@@ -258,11 +236,7 @@ impl Fields {
             .map(|(.., bytes)| bytes.len().next_multiple_of(2))
             .sum();
         let pixels = start + (values_at + spilled) as u64;
-        let next = if is_last {
-            0
-        } else {
-            pixels + pixel_bytes.next_multiple_of(2)
-        };
+        let next = if is_last { 0 } else { pixels + pixel_bytes.next_multiple_of(2) };
         let mut directory = Vec::with_capacity(values_at + spilled);
         let mut values = Vec::with_capacity(spilled);
         match self.is_big {

@@ -73,16 +73,10 @@ const PANEL: usize = 480;
 impl Picture {
     /// The picture as a `<figure>`.
     pub(super) fn figure(&self) -> Result<String, ReportError> {
-        let failed = |source| ReportError::Picture {
-            title: self.title.clone(),
-            source,
-        };
+        let failed = |source| ReportError::Picture { title: self.title.clone(), source };
         let source = self.data_uri().map_err(failed)?;
         let (title, caption) = (escape(&self.title), escape(&self.caption));
-        let (legend, scale) = (
-            self.legend(),
-            self.scale.as_ref().map(ColorScale::bar).unwrap_or_default(),
-        );
+        let (legend, scale) = (self.legend(), self.scale.as_ref().map(ColorScale::bar).unwrap_or_default());
         Ok(format!(
             "<figure><img src=\"{source}\" alt=\"{title}. {caption}\"/>\n\
              <figcaption><b>{title}</b> {legend}<span>{caption}</span></figcaption>{scale}</figure>\n"
@@ -90,38 +84,24 @@ impl Picture {
     }
 
     fn data_uri(&self) -> Result<String, DisplayError> {
-        let (mut image, factor) = self.image.fitted(if self.step == Step::Composite {
-            LARGE
-        } else {
-            PANEL
-        })?;
+        let (mut image, factor) =
+            self.image.fitted(if self.step == Step::Composite { LARGE } else { PANEL })?;
         let pixel_pitch_nm = self.pixel_pitch_nm.map(|pitch| pitch / factor);
         if let Some(pitch) = pixel_pitch_nm {
             image.draw_scale_bar(pitch);
         }
-        let png = image.to_png(&PngNotes {
-            title: Some(self.title.clone()),
-            pixel_pitch_nm,
-        })?;
-        Ok(format!(
-            "data:image/png;base64,{}",
-            base64::engine::general_purpose::STANDARD.encode(png)
-        ))
+        let png = image.to_png(&PngNotes { title: Some(self.title.clone()), pixel_pitch_nm })?;
+        Ok(format!("data:image/png;base64,{}", base64::engine::general_purpose::STANDARD.encode(png)))
     }
 
     fn legend(&self) -> String {
-        self.legend
-            .iter()
-            .map(|entry| chip(entry.color, &entry.label))
-            .collect()
+        self.legend.iter().map(|entry| chip(entry.color, &entry.label)).collect()
     }
 }
 
 impl ColorScale {
     fn bar(&self) -> String {
-        let colors: Vec<_> = (0..=16)
-            .map(|index| hex(self.map.color(f64::from(index) / 16.0)))
-            .collect();
+        let colors: Vec<_> = (0..=16).map(|index| hex(self.map.color(f64::from(index) / 16.0))).collect();
         let (low, high) = (number(self.limits.low), number(self.limits.high));
         let (colors, unit) = (colors.join(","), escape(&self.unit));
         format!(
@@ -133,11 +113,7 @@ impl ColorScale {
 
 /// A name with its color.
 pub(super) fn chip(color: Rgb, label: &str) -> String {
-    format!(
-        "<span class=\"chip\"><i style=\"background:{}\"></i>{}</span> ",
-        hex(color),
-        escape(label)
-    )
+    format!("<span class=\"chip\"><i style=\"background:{}\"></i>{}</span> ", hex(color), escape(label))
 }
 
 #[cfg(test)]
@@ -155,16 +131,8 @@ mod tests {
 
     #[test]
     fn a_color_scale_tells_its_limits_and_unit() {
-        let limits = Limits {
-            low: -0.5,
-            high: 1200.0,
-        };
-        let bar = ColorScale {
-            map: Colormap::Gray,
-            limits,
-            unit: "counts²".to_owned(),
-        }
-        .bar();
+        let limits = Limits { low: -0.5, high: 1200.0 };
+        let bar = ColorScale { map: Colormap::Gray, limits, unit: "counts²".to_owned() }.bar();
         assert!(bar.contains("−0.500") && bar.contains("1200 counts²") && bar.contains("#000000,"));
     }
 }

@@ -32,30 +32,19 @@ pub fn write_json(report: &AnalysisReport, path: &Path) -> Result<(), ReportErro
 /// # Errors
 /// [`ReportError::File`], [`ReportError::Decode`] with the line at fault.
 pub fn read_json(path: &Path) -> Result<AnalysisReport, ReportError> {
-    let text = std::fs::read_to_string(path).map_err(|source| ReportError::File {
-        path: path.to_owned(),
-        source,
-    })?;
-    serde_json::from_str(&text).map_err(|source| ReportError::Decode {
-        path: path.to_owned(),
-        source,
-    })
+    let text = std::fs::read_to_string(path)
+        .map_err(|source| ReportError::File { path: path.to_owned(), source })?;
+    serde_json::from_str(&text).map_err(|source| ReportError::Decode { path: path.to_owned(), source })
 }
 
 /// Writes a text under a temporary name in the same folder, then gives it its own.
 pub(super) fn write_whole(path: &Path, text: &str) -> Result<(), ReportError> {
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let written = new_file(folder).and_then(|mut file| {
         file.write_all(text.as_bytes())?;
         file.persist(path).map_err(|failed| failed.error)
     });
-    written.map(drop).map_err(|source| ReportError::File {
-        path: path.to_owned(),
-        source,
-    })
+    written.map(drop).map_err(|source| ReportError::File { path: path.to_owned(), source })
 }
 
 /// A temporary file that others may read, as far as the user's file mask lets them.
@@ -101,19 +90,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("broken.json");
         std::fs::write(&path, "{\"title\": 3}").unwrap();
-        assert!(
-            read_json(&path)
-                .unwrap_err()
-                .to_string()
-                .contains("broken.json")
-        );
+        assert!(read_json(&path).unwrap_err().to_string().contains("broken.json"));
         assert!(read_json(&folder.path().join("none.json")).is_err());
     }
 
     #[test]
     fn subsequences_are_flat_for_scripts() {
-        let text =
-            r#"{"first_exposure": 200, "frames": 90, "state": "skipped", "reason": "too short"}"#;
+        let text = r#"{"first_exposure": 200, "frames": 90, "state": "skipped", "reason": "too short"}"#;
         let read: Subsequence = serde_json::from_str(text).unwrap();
         assert_eq!(
             serde_json::to_value(&read).unwrap(),

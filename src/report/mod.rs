@@ -28,8 +28,8 @@ pub use json::{read_json, to_json, write_json};
 pub use model::{
     AnalysisReport, BleachingCurve, Crosstalk, CrosstalkReference, CurveUnit, FORMAT_VERSION,
     FlatteningNotes, FrameAccount, FrameCount, InputFile, Matrix, OutputFile, PsfUsed, Resolution,
-    ResolutionCurve, ResolutionValue, Settings, Software, Species, Subsequence, SubsequenceFate,
-    Timing, Unmixing,
+    ResolutionCurve, ResolutionValue, Settings, Software, Species, Subsequence, SubsequenceFate, Timing,
+    Unmixing,
 };
 pub use page::{html, write_html};
 pub use plot::{Axis, AxisRange, LinePlot, Series};

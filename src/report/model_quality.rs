@@ -111,12 +111,8 @@ impl Crosstalk {
     #[must_use]
     pub fn worst(matrix: &[Vec<f64>]) -> Option<f64> {
         let rows = matrix.iter().enumerate();
-        let entries =
-            rows.flat_map(|(i, row)| row.iter().enumerate().filter(move |&(j, _)| i != j));
-        entries
-            .map(|(_, value)| value.abs())
-            .filter(|value| value.is_finite())
-            .max_by(f64::total_cmp)
+        let entries = rows.flat_map(|(i, row)| row.iter().enumerate().filter(move |&(j, _)| i != j));
+        entries.map(|(_, value)| value.abs()).filter(|value| value.is_finite()).max_by(f64::total_cmp)
     }
 }
 

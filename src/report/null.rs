@@ -13,9 +13,7 @@ pub(super) fn list<'de, D: Deserializer<'de>>(input: D) -> Result<Vec<f64>, D::E
 }
 
 /// A list of numbers that may be missing as a whole.
-pub(super) fn optional_list<'de, D: Deserializer<'de>>(
-    input: D,
-) -> Result<Option<Vec<f64>>, D::Error> {
+pub(super) fn optional_list<'de, D: Deserializer<'de>>(input: D) -> Result<Option<Vec<f64>>, D::Error> {
     Option::<Vec<Option<f64>>>::deserialize(input).map(|list| list.map(values))
 }
 

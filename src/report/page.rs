@@ -21,11 +21,7 @@ use super::verdict::verdict;
 /// # Errors
 /// [`ReportError::Picture`] if a picture cannot be encoded.
 pub fn html(report: &AnalysisReport, pictures: &[Picture]) -> Result<String, ReportError> {
-    let title = if report.title.is_empty() {
-        "SOFI analysis"
-    } else {
-        &report.title
-    };
+    let title = if report.title.is_empty() { "SOFI analysis" } else { &report.title };
     let body = [
         head(report, title),
         hero(report, pictures)?,
@@ -53,11 +49,7 @@ pub fn html(report: &AnalysisReport, pictures: &[Picture]) -> Result<String, Rep
 ///
 /// # Errors
 /// [`ReportError::Picture`], [`ReportError::File`].
-pub fn write_html(
-    report: &AnalysisReport,
-    pictures: &[Picture],
-    path: &Path,
-) -> Result<(), ReportError> {
+pub fn write_html(report: &AnalysisReport, pictures: &[Picture], path: &Path) -> Result<(), ReportError> {
     write_whole(path, &html(report, pictures)?)
 }
 
@@ -67,11 +59,7 @@ fn head(report: &AnalysisReport, title: &str) -> String {
     } else {
         ""
     };
-    let (title, sentence, created) = (
-        escape(title),
-        escape(&verdict(report)),
-        escape(&report.created),
-    );
+    let (title, sentence, created) = (escape(title), escape(&verdict(report)), escape(&report.created));
     format!(
         "<header>{banner}<p class=\"date\">{created}</p><h1>{title}</h1>\n<p class=\"verdict\">{sentence}</p></header>\n{}",
         warnings(&report.warnings)
@@ -83,49 +71,24 @@ fn warnings(sentences: &[String]) -> String {
         return String::new();
     }
     let heading = plural(sentences.len(), "warning");
-    let items: String = sentences
-        .iter()
-        .map(|sentence| format!("<li>{}</li>\n", escape(sentence)))
-        .collect();
-    format!(
-        "<aside class=\"warnings\" role=\"alert\"><h2>⚠ {heading}</h2><ul>{items}</ul></aside>\n"
-    )
+    let items: String = sentences.iter().map(|sentence| format!("<li>{}</li>\n", escape(sentence))).collect();
+    format!("<aside class=\"warnings\" role=\"alert\"><h2>⚠ {heading}</h2><ul>{items}</ul></aside>\n")
 }
 
 fn hero(report: &AnalysisReport, pictures: &[Picture]) -> Result<String, ReportError> {
-    let large = pictures
-        .iter()
-        .filter(|picture| picture.step == Step::Composite);
+    let large = pictures.iter().filter(|picture| picture.step == Step::Composite);
     let large = large.map(Picture::figure).collect::<Result<String, _>>()?;
-    Ok(format!(
-        "<div class=\"hero\"><div class=\"large\">{large}</div>\n{}</div>\n",
-        key_numbers(report)
-    ))
+    Ok(format!("<div class=\"hero\"><div class=\"large\">{large}</div>\n{}</div>\n", key_numbers(report)))
 }
 
 fn key_numbers(report: &AnalysisReport) -> String {
     let order = report.settings.order;
-    let fine = report
-        .settings
-        .camera_pixel_pitch_nm
-        .filter(|_| order > 0)
-        .map(|pitch| pitch / f64::from(order));
-    let worst = report
-        .crosstalk
-        .as_ref()
-        .and_then(|crosstalk| Crosstalk::worst(&crosstalk.linearized));
-    let resolution = report
-        .resolution
-        .iter()
-        .flat_map(|r| &r.values)
-        .map(|value| value.nanometers);
-    let best = resolution
-        .filter(|value| value.is_finite())
-        .min_by(f64::total_cmp);
-    let condition = report
-        .unmixing
-        .as_ref()
-        .map(|unmixing| unmixing.condition_number);
+    let fine =
+        report.settings.camera_pixel_pitch_nm.filter(|_| order > 0).map(|pitch| pitch / f64::from(order));
+    let worst = report.crosstalk.as_ref().and_then(|crosstalk| Crosstalk::worst(&crosstalk.linearized));
+    let resolution = report.resolution.iter().flat_map(|r| &r.values).map(|value| value.nanometers);
+    let best = resolution.filter(|value| value.is_finite()).min_by(f64::total_cmp);
+    let condition = report.unmixing.as_ref().map(|unmixing| unmixing.condition_number);
     let speed = report.timing.as_ref().map(|timing| timing.pairs_per_second);
     let tiles = [
         ("frames used", Some(count(report.frames.used as f64)), ""),
@@ -137,14 +100,9 @@ fn key_numbers(report: &AnalysisReport) -> String {
         ("analysis speed", speed.map(number), "pairs/s"),
     ];
     let tile = |(name, value, unit): (&str, Option<String>, &str)| {
-        value.map(|value| {
-            format!("<div><dd>{value} <small>{unit}</small></dd><dt>{name}</dt></div>\n")
-        })
+        value.map(|value| format!("<div><dd>{value} <small>{unit}</small></dd><dt>{name}</dt></div>\n"))
     };
-    format!(
-        "<dl class=\"key\">{}</dl>",
-        tiles.into_iter().filter_map(tile).collect::<String>()
-    )
+    format!("<dl class=\"key\">{}</dl>", tiles.into_iter().filter_map(tile).collect::<String>())
 }
 
 fn foot(report: &AnalysisReport) -> String {
@@ -162,10 +120,7 @@ mod tests {
     use super::*;
 
     fn parse(page: &str) -> roxmltree::Document<'_> {
-        let options = roxmltree::ParsingOptions {
-            allow_dtd: true,
-            ..roxmltree::ParsingOptions::default()
-        };
+        let options = roxmltree::ParsingOptions { allow_dtd: true, ..roxmltree::ParsingOptions::default() };
         roxmltree::Document::parse_with_options(page, options).unwrap()
     }
 
@@ -173,27 +128,13 @@ mod tests {
     fn the_page_is_well_formed_and_complete() {
         let page = html(&example::report(), &example::pictures()).unwrap();
         let document = parse(&page);
-        let num = |tag: &str| {
-            document
-                .descendants()
-                .filter(|node| node.has_tag_name(tag))
-                .count()
-        };
+        let num = |tag: &str| document.descendants().filter(|node| node.has_tag_name(tag)).count();
         assert_eq!(num("img"), 17);
         assert_eq!(num("h1"), 1);
-        assert!(
-            document
-                .descendants()
-                .filter(|n| n.has_tag_name("img"))
-                .all(|n| n.has_attribute("alt"))
-        );
-        for words in [
-            "Simulated data",
-            "2 warnings",
-            "Linearized",
-            "For comparison: paper, Table 2",
-            "mean per pixel",
-        ] {
+        assert!(document.descendants().filter(|n| n.has_tag_name("img")).all(|n| n.has_attribute("alt")));
+        for words in
+            ["Simulated data", "2 warnings", "Linearized", "For comparison: paper, Table 2", "mean per pixel"]
+        {
             assert!(page.contains(words), "{words}");
         }
     }
@@ -203,14 +144,8 @@ mod tests {
         let page = html(&example::report(), &example::pictures()).unwrap();
         let document = parse(&page);
         for node in document.descendants().filter(roxmltree::Node::is_element) {
-            assert!(!matches!(
-                node.tag_name().name(),
-                "script" | "link" | "iframe" | "object"
-            ));
-            for attribute in node
-                .attributes()
-                .filter(|a| matches!(a.name(), "src" | "href" | "action"))
-            {
+            assert!(!matches!(node.tag_name().name(), "script" | "link" | "iframe" | "object"));
+            for attribute in node.attributes().filter(|a| matches!(a.name(), "src" | "href" | "action")) {
                 assert!(attribute.value().starts_with("data:image/png;base64,"));
             }
         }
@@ -235,11 +170,7 @@ mod tests {
         let page = html(&report, &pictures).unwrap();
         assert!(!page.contains("<script"));
         let document = parse(&page);
-        assert!(
-            document
-                .descendants()
-                .all(|node| !node.has_attribute("onload"))
-        );
+        assert!(document.descendants().all(|node| !node.has_attribute("onload")));
     }
 
     #[test]
@@ -254,11 +185,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("report.html");
         write_html(&example::report(), &example::pictures(), &path).unwrap();
-        assert!(
-            std::fs::read_to_string(&path)
-                .unwrap()
-                .ends_with("</html>\n")
-        );
+        assert!(std::fs::read_to_string(&path).unwrap().ends_with("</html>\n"));
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
         // A place to look at the page: SOFISCOPE_REPORT_EXAMPLE=/tmp/report.html cargo test report
         if let Some(place) = std::env::var_os("SOFISCOPE_REPORT_EXAMPLE") {

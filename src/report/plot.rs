@@ -19,9 +19,7 @@ const LEGEND_LINE: f64 = 20.0;
 /// Mean width of a letter at the font size used, to place legend entries.
 const LETTER: f64 = 6.6;
 
-const COLORS: [&str; 6] = [
-    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9",
-];
+const COLORS: [&str; 6] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
 const DASHES: [&str; 6] = ["", "7 3", "2 3", "9 3 2 3", "4 2", "12 3"];
 
 /// One axis: what is on it.
@@ -56,11 +54,7 @@ impl Axis {
     /// An axis that fits the data.
     #[must_use]
     pub fn new(quantity: &str, unit: &str) -> Self {
-        Self {
-            quantity: quantity.to_owned(),
-            unit: unit.to_owned(),
-            range: AxisRange::Fit,
-        }
+        Self { quantity: quantity.to_owned(), unit: unit.to_owned(), range: AxisRange::Fit }
     }
 
     /// The same axis with another range.
@@ -70,11 +64,7 @@ impl Axis {
     }
 
     fn label(&self, exponent: i32) -> String {
-        let power = if exponent == 0 {
-            String::new()
-        } else {
-            format!("10{}", superscript(exponent))
-        };
+        let power = if exponent == 0 { String::new() } else { format!("10{}", superscript(exponent)) };
         let unit = [power, self.unit.clone()].join(" ");
         match unit.trim() {
             "" => escape(&self.quantity),
@@ -85,9 +75,7 @@ impl Axis {
     /// `exact` ends for the horizontal axis; the vertical one ends on ticks.
     fn scale(&self, values: impl Iterator<Item = f64>, choose: fn(f64, f64) -> Scale) -> Scale {
         let finite = values.filter(|value| value.is_finite());
-        let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| {
-            (l.min(v), h.max(v))
-        });
+        let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         match self.range {
             AxisRange::Fit => choose(low, high),
             AxisRange::FromZero => choose(low.min(0.0), high.max(0.0)),
@@ -126,14 +114,8 @@ impl LinePlot {
         let x = self.x.scale(points().map(|point| point.0), ticks::exact);
         let y = self.y.scale(points().map(|point| point.1), ticks::outward);
         let (legend, lines) = self.legend();
-        let frame = Frame {
-            x,
-            y,
-            top: 10.0 + LEGEND_LINE * lines,
-        };
-        let curves: String = (0..self.series.len())
-            .map(|index| self.curve(index, &frame))
-            .collect();
+        let frame = Frame { x, y, top: 10.0 + LEGEND_LINE * lines };
+        let curves: String = (0..self.series.len()).map(|index| self.curve(index, &frame)).collect();
         let height = frame.bottom() + BELOW;
         let title = escape(&self.title);
         format!(
@@ -175,11 +157,7 @@ impl LinePlot {
             pen_down = px.is_finite() && py.is_finite();
         }
         let style = stroke(index);
-        if path.is_empty() {
-            path
-        } else {
-            format!("<path d=\"{path}\" {style}/>\n")
-        }
+        if path.is_empty() { path } else { format!("<path d=\"{path}\" {style}/>\n") }
     }
 }
 
@@ -222,9 +200,7 @@ impl Frame {
         }
         let top = self.top;
         lines
-            + &format!(
-                "<path d=\"M{LEFT} {top}V{bottom}H{right}\" fill=\"none\" stroke=\"currentColor\"/>\n"
-            )
+            + &format!("<path d=\"M{LEFT} {top}V{bottom}H{right}\" fill=\"none\" stroke=\"currentColor\"/>\n")
     }
 
     fn labels(&self, x: &Axis, y: &Axis) -> String {
@@ -241,14 +217,8 @@ impl Frame {
 fn stroke(index: usize) -> String {
     let (index, color) = (index % COLORS.len(), COLORS[index % COLORS.len()]);
     let dash = DASHES[index];
-    let dashes = if dash.is_empty() {
-        String::new()
-    } else {
-        format!(" stroke-dasharray=\"{dash}\"")
-    };
-    format!(
-        "fill=\"none\" style=\"stroke: var(--series-{index}, {color})\" stroke-width=\"2\"{dashes}"
-    )
+    let dashes = if dash.is_empty() { String::new() } else { format!(" stroke-dasharray=\"{dash}\"") };
+    format!("fill=\"none\" style=\"stroke: var(--series-{index}, {color})\" stroke-width=\"2\"{dashes}")
 }
 
 #[cfg(test)]
@@ -256,22 +226,14 @@ mod tests {
     use super::*;
 
     fn plot() -> LinePlot {
-        let points = (0..50)
-            .map(|i| (f64::from(i), 1e6 * (-f64::from(i) / 20.0).exp()))
-            .collect();
+        let points = (0..50).map(|i| (f64::from(i), 1e6 * (-f64::from(i) / 20.0).exp())).collect();
         LinePlot {
             title: "Bleaching <of> R".to_owned(),
             x: Axis::new("time", "s"),
             y: Axis::new("mean", "counts").with_range(AxisRange::FromZero),
             series: vec![
-                Series {
-                    label: "R & T".to_owned(),
-                    points,
-                },
-                Series {
-                    label: "gap".to_owned(),
-                    points: vec![(0.0, 1.0), (1.0, f64::NAN), (2.0, 3.0)],
-                },
+                Series { label: "R & T".to_owned(), points },
+                Series { label: "gap".to_owned(), points: vec![(0.0, 1.0), (1.0, f64::NAN), (2.0, 3.0)] },
             ],
         }
     }
@@ -280,10 +242,7 @@ mod tests {
     fn svg_is_well_formed_and_says_its_units() {
         let svg = plot().to_svg();
         let document = roxmltree::Document::parse(&svg).unwrap();
-        let texts: Vec<_> = document
-            .descendants()
-            .filter_map(|node| node.text())
-            .collect();
+        let texts: Vec<_> = document.descendants().filter_map(|node| node.text()).collect();
         for wanted in ["Bleaching <of> R", "time (s)", "mean (10⁶ counts)", "R & T"] {
             assert!(texts.contains(&wanted), "{wanted}: {texts:?}");
         }
@@ -291,33 +250,17 @@ mod tests {
 
     #[test]
     fn a_missing_point_breaks_the_line() {
-        let frame = Frame {
-            x: ticks::exact(0.0, 2.0),
-            y: ticks::exact(0.0, 4.0),
-            top: 0.0,
-        };
+        let frame = Frame { x: ticks::exact(0.0, 2.0), y: ticks::exact(0.0, 4.0), top: 0.0 };
         let curve = plot().curve(1, &frame);
-        assert_eq!(
-            (curve.matches('M').count(), curve.matches('L').count()),
-            (2, 0)
-        );
+        assert_eq!((curve.matches('M').count(), curve.matches('L').count()), (2, 0));
     }
 
     #[test]
     fn nothing_to_plot_is_still_a_plot() {
-        for series in [
-            vec![],
-            vec![Series::default()],
-            vec![Series {
-                points: vec![(1.0, 1.0)],
-                ..Series::default()
-            }],
-        ] {
-            let svg = LinePlot {
-                series,
-                ..LinePlot::default()
-            }
-            .to_svg();
+        for series in
+            [vec![], vec![Series::default()], vec![Series { points: vec![(1.0, 1.0)], ..Series::default() }]]
+        {
+            let svg = LinePlot { series, ..LinePlot::default() }.to_svg();
             assert!(roxmltree::Document::parse(&svg).is_ok() && !svg.contains("NaN"));
         }
     }

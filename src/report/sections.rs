@@ -12,26 +12,14 @@ use super::text::{escape, number};
 
 /// The steps with the words of the paper's Figure 2.
 const STEPS: [(Step, &str, &str); 5] = [
-    (
-        Step::Cameras,
-        "Cameras",
-        "Time average of reflection (R) and transmission (T), T registered onto R.",
-    ),
+    (Step::Cameras, "Cameras", "Time average of reflection (R) and transmission (T), T registered onto R."),
     (
         Step::Cumulants,
         "Spectral cumulants",
         "Auto- and cross-cumulants of both channels; the cross terms are virtual color channels.",
     ),
-    (
-        Step::Unmixed,
-        "Unmixed",
-        "The mixing matrix inverted in every virtual pixel: one image per species.",
-    ),
-    (
-        Step::Flattened,
-        "Flattened",
-        "Sub-grids of the virtual pixels brought to equal weight.",
-    ),
+    (Step::Unmixed, "Unmixed", "The mixing matrix inverted in every virtual pixel: one image per species."),
+    (Step::Flattened, "Flattened", "Sub-grids of the virtual pixels brought to equal weight."),
     (
         Step::Linearized,
         "Linearized",
@@ -43,11 +31,8 @@ const STEPS: [(Step, &str, &str); 5] = [
 pub(super) fn light_path(pictures: &[Picture]) -> Result<String, ReportError> {
     let mut rows = String::new();
     for (index, (step, name, words)) in STEPS.into_iter().enumerate() {
-        let panels: Result<String, _> = pictures
-            .iter()
-            .filter(|p| p.step == step)
-            .map(Picture::figure)
-            .collect();
+        let panels: Result<String, _> =
+            pictures.iter().filter(|p| p.step == step).map(Picture::figure).collect();
         let panels = panels?;
         if !panels.is_empty() {
             let place = index + 1;
@@ -62,11 +47,7 @@ pub(super) fn light_path(pictures: &[Picture]) -> Result<String, ReportError> {
 
 /// Species table and crosstalk.
 pub(super) fn species(report: &AnalysisReport) -> String {
-    let table = if report.species.is_empty() {
-        String::new()
-    } else {
-        tables::species(&report.species)
-    };
+    let table = if report.species.is_empty() { String::new() } else { tables::species(&report.species) };
     section("Species", &(table + &flattening(report)))
 }
 
@@ -101,10 +82,7 @@ pub(super) fn crosstalk(report: &AnalysisReport) -> String {
     }
     let words = "<p>Share of a species that shows in the image of another, measured where only one of them is, \
                  background subtracted. Read line by line.</p>";
-    section(
-        "Crosstalk against the truth",
-        &format!("{words}<div class=\"columns\">{all}</div>"),
-    )
+    section("Crosstalk against the truth", &format!("{words}<div class=\"columns\">{all}</div>"))
 }
 
 /// Bleaching curve.
@@ -116,10 +94,7 @@ pub(super) fn bleaching(report: &AnalysisReport) -> String {
                  bubbles or the shutter.</p>";
     section(
         "Intensity over time",
-        &format!(
-            "{words}{}",
-            bleaching_plot(curve, report.settings.exposure_ms).to_svg()
-        ),
+        &format!("{words}{}", bleaching_plot(curve, report.settings.exposure_ms).to_svg()),
     )
 }
 
@@ -142,12 +117,7 @@ fn bleaching_plot(curve: &BleachingCurve, exposure_ms: Option<f64>) -> LinePlot 
             .collect(),
     };
     let mut all = vec![series("R, reflection", &curve.reflected)];
-    all.extend(
-        curve
-            .transmitted
-            .iter()
-            .map(|values| series("T, transmission", values)),
-    );
+    all.extend(curve.transmitted.iter().map(|values| series("T, transmission", values)));
     LinePlot {
         title: "Mean intensity of each camera over time".to_owned(),
         x: x.with_range(AxisRange::FromZero),
@@ -161,19 +131,12 @@ pub(super) fn resolution(report: &AnalysisReport) -> String {
     let Some(resolution) = &report.resolution else {
         return String::new();
     };
-    let rows = resolution.values.iter().map(|value| {
-        [
-            escape(&value.image),
-            number(value.nanometers),
-            escape(&value.method),
-        ]
-    });
+    let rows = resolution
+        .values
+        .iter()
+        .map(|value| [escape(&value.image), number(value.nanometers), escape(&value.method)]);
     let head = ["image", "resolution (nm)", "method"].map(str::to_owned);
-    let values = if resolution.values.is_empty() {
-        String::new()
-    } else {
-        tables::table(&head, rows)
-    };
+    let values = if resolution.values.is_empty() { String::new() } else { tables::table(&head, rows) };
     section("Resolution", &(values + &correlation_plot(resolution)))
 }
 
@@ -183,12 +146,7 @@ fn correlation_plot(resolution: &Resolution) -> String {
     }
     let series = resolution.curves.iter().map(|curve| Series {
         label: curve.image.clone(),
-        points: curve
-            .frequency_per_um
-            .iter()
-            .copied()
-            .zip(curve.correlation.iter().copied())
-            .collect(),
+        points: curve.frequency_per_um.iter().copied().zip(curve.correlation.iter().copied()).collect(),
     });
     let plot = LinePlot {
         title: "Fourier ring correlation".to_owned(),
@@ -201,10 +159,7 @@ fn correlation_plot(resolution: &Resolution) -> String {
 
 /// Mixing matrix.
 pub(super) fn mixing(report: &AnalysisReport) -> String {
-    let matrix = report
-        .unmixing
-        .as_ref()
-        .map(|unmixing| tables::mixing(unmixing, &report.species));
+    let matrix = report.unmixing.as_ref().map(|unmixing| tables::mixing(unmixing, &report.species));
     section("Mixing matrix", &matrix.unwrap_or_default())
 }
 

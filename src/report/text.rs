@@ -46,11 +46,7 @@ pub(super) fn number(value: f64) -> String {
 /// A percentage with one decimal; `–` if not finite.
 pub(super) fn percent(value: f64) -> String {
     let rounded = (value * 10.0).round() / 10.0 + 0.0;
-    if value.is_finite() {
-        minus(&format!("{rounded:.1}"))
-    } else {
-        "–".to_owned()
-    }
+    if value.is_finite() { minus(&format!("{rounded:.1}")) } else { "–".to_owned() }
 }
 
 /// A whole number with thousands set apart by narrow spaces.
@@ -63,11 +59,7 @@ pub(super) fn count(value: f64) -> String {
         }
         grouped.push(digit);
     }
-    if value <= -0.5 {
-        format!("−{grouped}")
-    } else {
-        grouped
-    }
+    if value <= -0.5 { format!("−{grouped}") } else { grouped }
 }
 
 /// The number, or `–` where there is none.
@@ -77,11 +69,7 @@ pub(super) fn optional(value: Option<f64>) -> String {
 
 /// `one name` or `5 names`.
 pub(super) fn plural(value: usize, name: &str) -> String {
-    if value == 1 {
-        format!("1 {name}")
-    } else {
-        format!("{} {name}s", count(value as f64))
-    }
+    if value == 1 { format!("1 {name}") } else { format!("{} {name}s", count(value as f64)) }
 }
 
 /// Raises the digits of an exponent.
@@ -104,11 +92,7 @@ pub(super) fn minus(text: &str) -> String {
 fn power_of_ten(value: f64) -> String {
     let text = format!("{value:.2e}");
     let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, "0"));
-    format!(
-        "{} × 10{}",
-        minus(mantissa),
-        superscript(exponent.parse().unwrap_or(0))
-    )
+    format!("{} × 10{}", minus(mantissa), superscript(exponent.parse().unwrap_or(0)))
 }
 
 #[cfg(test)]
@@ -140,10 +124,7 @@ mod tests {
         ] {
             assert_eq!(number(value), expected);
         }
-        assert_eq!(
-            [percent(-0.02), percent(-2.65), percent(f64::NAN)],
-            ["0.0", "−2.7", "–"]
-        );
+        assert_eq!([percent(-0.02), percent(-2.65), percent(f64::NAN)], ["0.0", "−2.7", "–"]);
         assert_eq!(plural(1, "frame"), "1 frame");
         assert_eq!(plural(12_000, "frame"), "12\u{202F}000 frames");
         assert_eq!(superscript(-12), "⁻¹²");

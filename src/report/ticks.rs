@@ -23,11 +23,7 @@ pub(super) struct Scale {
 pub(super) fn outward(low: f64, high: f64) -> Scale {
     let (low, high) = widened(low, high);
     let step = step_for(low, high);
-    scale(
-        (low / step).floor() * step,
-        (high / step - 1e-9).ceil() * step,
-        step,
-    )
+    scale((low / step).floor() * step, (high / step - 1e-9).ceil() * step, step)
 }
 
 /// Chooses ticks for data between `low` and `high` and keeps the ends.
@@ -45,14 +41,9 @@ impl Scale {
 
 fn widened(low: f64, high: f64) -> (f64, f64) {
     match (low, high) {
-        (low, high) if !(low.is_finite() && high.is_finite() && (high - low).is_finite()) => {
-            (0.0, 1.0)
-        }
+        (low, high) if !(low.is_finite() && high.is_finite() && (high - low).is_finite()) => (0.0, 1.0),
         (low, high) if high - low > 1e-12 * low.abs().max(high.abs()) => (low, high),
-        (same, _) => (
-            same - same.abs().max(1.0) / 2.0,
-            same + same.abs().max(1.0) / 2.0,
-        ),
+        (same, _) => (same - same.abs().max(1.0) / 2.0, same + same.abs().max(1.0) / 2.0),
     }
 }
 
@@ -67,17 +58,11 @@ fn step_for(low: f64, high: f64) -> f64 {
     nice_length_at_most(below * 2.5).unwrap_or(least)
 }
 
-#[expect(
-    clippy::cast_possible_truncation,
-    reason = "a handful of ticks; decimals of numbers near one"
-)]
+#[expect(clippy::cast_possible_truncation, reason = "a handful of ticks; decimals of numbers near one")]
 fn scale(low: f64, high: f64, step: f64) -> Scale {
     let largest = low.abs().max(high.abs());
-    let exponent = if (1e-2..1e5).contains(&largest) {
-        0
-    } else {
-        (largest.log10().floor() / 3.0).floor() as i32 * 3
-    };
+    let exponent =
+        if (1e-2..1e5).contains(&largest) { 0 } else { (largest.log10().floor() / 3.0).floor() as i32 * 3 };
     let unit = 10_f64.powi(exponent);
     let decimals = (-(step / unit).log10().floor()).clamp(0.0, 9.0) as usize;
     let first = (low / step - 1e-6).ceil();
@@ -87,12 +72,7 @@ fn scale(low: f64, high: f64, step: f64) -> Scale {
         scaled if decimals == 0 => text::count(scaled),
         scaled => text::minus(&format!("{:.decimals$}", scaled + 0.0)),
     };
-    Scale {
-        low,
-        high,
-        ticks: values.map(|value| (value, label(value))).collect(),
-        exponent,
-    }
+    Scale { low, high, ticks: values.map(|value| (value, label(value))).collect(), exponent }
 }
 
 #[cfg(test)]
@@ -100,11 +80,7 @@ mod tests {
     use super::*;
 
     fn labels(scale: &Scale) -> Vec<&str> {
-        scale
-            .ticks
-            .iter()
-            .map(|(_, label)| label.as_str())
-            .collect()
+        scale.ticks.iter().map(|(_, label)| label.as_str()).collect()
     }
 
     #[test]
@@ -114,9 +90,7 @@ mod tests {
         assert_eq!((scale.low, scale.high), (0.0, 100.0));
         assert_eq!(
             labels(&outward(0.0, 0.35)),
-            [
-                "0.00", "0.05", "0.10", "0.15", "0.20", "0.25", "0.30", "0.35"
-            ]
+            ["0.00", "0.05", "0.10", "0.15", "0.20", "0.25", "0.30", "0.35"]
         );
         assert_eq!(labels(&exact(0.0, 3999.0)), ["0", "1000", "2000", "3000"]);
     }
@@ -131,18 +105,9 @@ mod tests {
 
     #[test]
     fn ranges_without_extent_still_work() {
-        for (low, high) in [
-            (5.0, 5.0),
-            (0.0, 0.0),
-            (f64::NAN, 1.0),
-            (-f64::MAX, f64::MAX),
-            (1e300, 1e300),
-        ] {
+        for (low, high) in [(5.0, 5.0), (0.0, 0.0), (f64::NAN, 1.0), (-f64::MAX, f64::MAX), (1e300, 1e300)] {
             let scale = outward(low, high);
-            assert!(
-                scale.high > scale.low && !scale.ticks.is_empty(),
-                "{low} {high} {scale:?}"
-            );
+            assert!(scale.high > scale.low && !scale.ticks.is_empty(), "{low} {high} {scale:?}");
         }
     }
 }

@@ -10,15 +10,10 @@ use super::text::{count, number, percent, plural};
 #[must_use]
 pub fn verdict(report: &AnalysisReport) -> String {
     let mut facts = vec![subject(report)];
-    if let Some(worst) = report
-        .crosstalk
-        .as_ref()
-        .and_then(|crosstalk| Crosstalk::worst(&crosstalk.linearized))
+    if let Some(worst) =
+        report.crosstalk.as_ref().and_then(|crosstalk| Crosstalk::worst(&crosstalk.linearized))
     {
-        facts.push(format!(
-            "worst crosstalk {} % after linearization",
-            percent(worst)
-        ));
+        facts.push(format!("worst crosstalk {} % after linearization", percent(worst)));
     }
     facts.extend(signal_to_noise(report));
     facts.push(missing(report));
@@ -39,17 +34,9 @@ fn subject(report: &AnalysisReport) -> String {
 }
 
 fn signal_to_noise(report: &AnalysisReport) -> Option<String> {
-    let values = || {
-        report
-            .species
-            .iter()
-            .filter_map(|species| species.signal_to_noise)
-            .filter(|snr| snr.is_finite())
-    };
-    let (low, high) = (
-        values().min_by(f64::total_cmp)?,
-        values().max_by(f64::total_cmp)?,
-    );
+    let values =
+        || report.species.iter().filter_map(|species| species.signal_to_noise).filter(|snr| snr.is_finite());
+    let (low, high) = (values().min_by(f64::total_cmp)?, values().max_by(f64::total_cmp)?);
     let (low, high) = (number(low), number(high));
     Some(if low == high {
         format!("signal-to-noise {low}")
@@ -78,13 +65,10 @@ mod tests {
     fn the_sentence_has_the_numbers() {
         let mut report = example::report();
         let sentence = verdict(&report);
-        assert!(sentence.starts_with(
-            "3 species unmixed at order 2 from 3984 frame pairs; worst crosstalk 2.6 %"
-        ));
         assert!(
-            sentence.contains("frames lost: 3, left out: 13; 2 warnings."),
-            "{sentence}"
+            sentence.starts_with("3 species unmixed at order 2 from 3984 frame pairs; worst crosstalk 2.6 %")
         );
+        assert!(sentence.contains("frames lost: 3, left out: 13; 2 warnings."), "{sentence}");
         report.frames = super::super::FrameAccount::default();
         report.warnings.clear();
         assert!(verdict(&report).ends_with("no frame lost or left out."));

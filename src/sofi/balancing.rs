@@ -118,11 +118,7 @@ pub fn photophysics(kappa: [f64; 3], weights: PsfWeights) -> Option<Photophysics
     let on_time_ratio = 0.5 * (1.0 - first_ratio / brightness);
     let density = second / (square * on_time_ratio * (1.0 - on_time_ratio));
     // Rounding may still bring the ratio to 0 or 1.
-    density.is_finite().then_some(Photophysics {
-        on_time_ratio,
-        brightness,
-        density,
-    })
+    density.is_finite().then_some(Photophysics { on_time_ratio, brightness, density })
 }
 
 /// Solves every position of three images of one shape.
@@ -140,22 +136,18 @@ pub fn balance(
         return Err(BalancingError::Shapes { shapes });
     }
     let missing = Array2::from_elem(shapes[0], f32::NAN);
-    let mut maps = PhotophysicalMaps {
-        on_time_ratio: missing.clone(),
-        brightness: missing.clone(),
-        density: missing,
-    };
-    Zip::indexed(&mut maps.on_time_ratio)
-        .and(&mut maps.brightness)
-        .and(&mut maps.density)
-        .for_each(|at, ratio, brightness, density| {
+    let mut maps =
+        PhotophysicalMaps { on_time_ratio: missing.clone(), brightness: missing.clone(), density: missing };
+    Zip::indexed(&mut maps.on_time_ratio).and(&mut maps.brightness).and(&mut maps.density).for_each(
+        |at, ratio, brightness, density| {
             let kappa = [second[at], third[at], fourth[at]].map(f64::from);
             if let Some(solved) = photophysics(kappa, weights) {
                 *ratio = solved.on_time_ratio as f32;
                 *brightness = solved.brightness as f32;
                 *density = solved.density as f32;
             }
-        });
+        },
+    );
     Ok(maps)
 }
 

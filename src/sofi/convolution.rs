@@ -89,10 +89,7 @@ impl Blur {
     ///
     /// # Errors
     /// [`ConvolutionError::Shape`].
-    pub fn apply_transposed(
-        &self,
-        image: &ArrayRef2<f32>,
-    ) -> Result<Array2<f32>, ConvolutionError> {
+    pub fn apply_transposed(&self, image: &ArrayRef2<f32>) -> Result<Array2<f32>, ConvolutionError> {
         let mut blurred = self.checked_output(image)?;
         self.apply_transposed_then(&image.as_standard_layout(), &mut blurred, |_, _| {});
         Ok(blurred)
@@ -156,10 +153,7 @@ impl Blur {
 
     fn checked_output(&self, image: &ArrayRef2<f32>) -> Result<Array2<f32>, ConvolutionError> {
         if image.dim() != self.shape {
-            return Err(ConvolutionError::Shape {
-                expected: self.shape,
-                got: image.dim(),
-            });
+            return Err(ConvolutionError::Shape { expected: self.shape, got: image.dim() });
         }
         Ok(Array2::zeros(self.shape))
     }
@@ -186,9 +180,7 @@ struct GaussianKernel {
 
 impl GaussianKernel {
     fn new(psf: &GaussianPsf) -> Self {
-        Self {
-            half: psf.sampled().into_iter().map(|v| v as f32).collect(),
-        }
+        Self { half: psf.sampled().into_iter().map(|v| v as f32).collect() }
     }
 
     fn run(
@@ -290,10 +282,7 @@ struct Transforms {
 impl Transforms {
     fn new(length: usize) -> Self {
         let mut planner = FftPlanner::new();
-        Self {
-            forward: planner.plan_fft_forward(length),
-            inverse: planner.plan_fft_inverse(length),
-        }
+        Self { forward: planner.plan_fft_forward(length), inverse: planner.plan_fft_inverse(length) }
     }
 }
 
@@ -301,10 +290,7 @@ impl ImageKernel {
     fn new(psf: &PsfImage, shape: (usize, usize)) -> Self {
         let values = psf.values();
         let radius = (values.nrows() / 2, values.ncols() / 2);
-        let padded = (
-            smooth_length(shape.0 + 2 * radius.0),
-            smooth_length(shape.1 + 2 * radius.1),
-        );
+        let padded = (smooth_length(shape.0 + 2 * radius.0), smooth_length(shape.1 + 2 * radius.1));
         let mut kernel = Self {
             shape,
             radius,
@@ -336,15 +322,12 @@ impl ImageKernel {
             Direction::Transposed => self.surrounded_by_zeros(input),
         };
         let mut spectrum = self.transformed(embedded);
-        spectrum
-            .par_iter_mut()
-            .zip(&self.spectrum)
-            .for_each(|(value, kernel)| {
-                *value *= match direction {
-                    Direction::Forward => *kernel,
-                    Direction::Transposed => kernel.conj(),
-                };
-            });
+        spectrum.par_iter_mut().zip(&self.spectrum).for_each(|(value, kernel)| {
+            *value *= match direction {
+                Direction::Forward => *kernel,
+                Direction::Transposed => kernel.conj(),
+            };
+        });
         let filtered = self.transformed_back(spectrum);
         match direction {
             Direction::Forward => self.cut_out(&filtered, output),
@@ -357,10 +340,7 @@ impl ImageKernel {
     /// Where padded pixel `(y, x)` comes from.
     fn source(&self, y: usize, x: usize) -> (usize, usize) {
         let back = |i: usize, radius: usize, size| mirrored(i as isize - radius as isize, size);
-        (
-            back(y, self.radius.0, self.shape.0),
-            back(x, self.radius.1, self.shape.1),
-        )
+        (back(y, self.radius.0, self.shape.0), back(x, self.radius.1, self.shape.1))
     }
 
     fn mirrored_out(&self, input: &[f32]) -> Vec<Complex<f32>> {
@@ -379,23 +359,21 @@ impl ImageKernel {
     fn surrounded_by_zeros(&self, input: &[f32]) -> Vec<Complex<f32>> {
         let mut padded = vec![Complex::default(); self.padded.0 * self.padded.1];
         let rows = padded.par_chunks_mut(self.padded.1).skip(self.radius.0);
-        rows.zip(input.par_chunks(self.shape.1))
-            .for_each(|(to, from)| {
-                for (to, &from) in to[self.radius.1..].iter_mut().zip(from) {
-                    *to = Complex::from(from);
-                }
-            });
+        rows.zip(input.par_chunks(self.shape.1)).for_each(|(to, from)| {
+            for (to, &from) in to[self.radius.1..].iter_mut().zip(from) {
+                *to = Complex::from(from);
+            }
+        });
         padded
     }
 
     fn cut_out(&self, filtered: &[Complex<f32>], output: &mut [f32]) {
         let rows = filtered.par_chunks(self.padded.1).skip(self.radius.0);
-        rows.zip(output.par_chunks_mut(self.shape.1))
-            .for_each(|(from, to)| {
-                for (to, from) in to.iter_mut().zip(&from[self.radius.1..]) {
-                    *to = from.re;
-                }
-            });
+        rows.zip(output.par_chunks_mut(self.shape.1)).for_each(|(from, to)| {
+            for (to, from) in to.iter_mut().zip(&from[self.radius.1..]) {
+                *to = from.re;
+            }
+        });
     }
 
     /// The transpose of mirroring: every padded pixel is added to where it came from.
@@ -412,10 +390,7 @@ impl ImageKernel {
 
     /// Height and width of the mirrored image within the padding.
     fn reach(&self) -> (usize, usize) {
-        (
-            self.shape.0 + 2 * self.radius.0,
-            self.shape.1 + 2 * self.radius.1,
-        )
+        (self.shape.0 + 2 * self.radius.0, self.shape.1 + 2 * self.radius.1)
     }
 
     fn transformed(&self, mut values: Vec<Complex<f32>>) -> Vec<Complex<f32>> {
@@ -498,9 +473,7 @@ mod tests {
     fn outer(half: &[f64]) -> Array2<f64> {
         let radius = half.len() - 1;
         let side = 2 * radius + 1;
-        Array2::from_shape_fn((side, side), |(y, x)| {
-            half[y.abs_diff(radius)] * half[x.abs_diff(radius)]
-        })
+        Array2::from_shape_fn((side, side), |(y, x)| half[y.abs_diff(radius)] * half[x.abs_diff(radius)])
     }
 
     fn lopsided() -> Array2<f32> {
@@ -522,16 +495,11 @@ mod tests {
 
     fn worst(a: &Array2<f32>, b: &Array2<f64>) -> f64 {
         let pairs = a.iter().zip(b);
-        pairs
-            .map(|(&a, b)| (f64::from(a) - b).abs())
-            .fold(0.0, f64::max)
+        pairs.map(|(&a, b)| (f64::from(a) - b).abs()).fold(0.0, f64::max)
     }
 
     fn dot(a: &Array2<f32>, b: &Array2<f32>) -> f64 {
-        a.iter()
-            .zip(b)
-            .map(|(&a, &b)| f64::from(a) * f64::from(b))
-            .sum()
+        a.iter().zip(b).map(|(&a, &b)| f64::from(a) * f64::from(b)).sum()
     }
 
     proptest! {
@@ -585,10 +553,7 @@ mod tests {
     #[test]
     fn constants_stay_constant() {
         let image = Array2::from_elem((31, 17), 3.0_f32);
-        for psf in [
-            Psf::image(&lopsided()).unwrap(),
-            Psf::gaussian(2.5).unwrap(),
-        ] {
+        for psf in [Psf::image(&lopsided()).unwrap(), Psf::gaussian(2.5).unwrap()] {
             let blurred = convolve(&image, &psf);
             assert!(blurred.iter().all(|v| (v - 3.0).abs() < 1e-5));
         }
@@ -599,10 +564,7 @@ mod tests {
         let blur = Blur::new(&Psf::gaussian(1.0).unwrap(), (4, 4));
         assert!(blur.apply(&Array2::zeros((4, 5))).is_err());
         assert!(blur.apply_transposed(&Array2::zeros((5, 4))).is_err());
-        for psf in [
-            Psf::image(&lopsided()).unwrap(),
-            Psf::gaussian(1.0).unwrap(),
-        ] {
+        for psf in [Psf::image(&lopsided()).unwrap(), Psf::gaussian(1.0).unwrap()] {
             assert_eq!(convolve(&Array2::zeros((0, 3)), &psf).dim(), (0, 3));
         }
     }
@@ -620,10 +582,7 @@ mod tests {
     #[ignore = "a measurement: run it alone, with --nocapture"]
     fn speed_of_a_large_image() {
         let image = random_image(4096, 4096, 7);
-        for psf in [
-            Psf::gaussian(1.41).unwrap(),
-            Psf::image(&lopsided()).unwrap(),
-        ] {
+        for psf in [Psf::gaussian(1.41).unwrap(), Psf::image(&lopsided()).unwrap()] {
             let blur = Blur::new(&psf, image.dim());
             for _ in 0..3 {
                 let start = Instant::now();

@@ -23,9 +23,7 @@ pub enum FlatteningError {
     #[error("the distances must be a square table of finite numbers, one per sub-position")]
     Distances,
     /// The width given is not a positive number.
-    #[error(
-        "the width {0} of the point-spread function must be a positive number of camera pixels"
-    )]
+    #[error("the width {0} of the point-spread function must be a positive number of camera pixels")]
     Width(f64),
     /// The means do not fall with distance, or there are too few clear ones.
     #[error(
@@ -98,10 +96,7 @@ pub fn flatten(
 ///
 /// # Errors
 /// [`FlatteningError::NotEstimable`] unless the means fall with `D`; [`FlatteningError::Distances`].
-pub fn estimate_sigma(
-    image: &ArrayRef2<f32>,
-    distances: &Array2<f64>,
-) -> Result<f64, FlatteningError> {
+pub fn estimate_sigma(image: &ArrayRef2<f32>, distances: &Array2<f64>) -> Result<f64, FlatteningError> {
     check_distances(distances)?;
     SubGrids::measure(image, distances.nrows()).sigma(distances)
 }
@@ -162,10 +157,7 @@ impl SubGrids {
                 (means[[p, q]], standard_errors[[p, q]]) = mean_and_error(&grid);
             }
         }
-        Self {
-            means,
-            standard_errors,
-        }
+        Self { means, standard_errors }
     }
 
     fn is_clear(&self, at: (usize, usize)) -> bool {
@@ -190,9 +182,7 @@ impl SubGrids {
         let slope = slope(&points);
         // Without two different distances the slope is NaN.
         if slope.is_nan() || slope >= 0.0 {
-            return Err(FlatteningError::NotEstimable {
-                clear_means: points.len(),
-            });
+            return Err(FlatteningError::NotEstimable { clear_means: points.len() });
         }
         Ok((-1.0 / (2.0 * distances.nrows() as f64 * slope)).sqrt())
     }
@@ -237,8 +227,7 @@ fn scaled(image: &ArrayRef2<f32>, scales: &Array2<f64>) -> Array2<f32> {
     let mut flat = image.to_owned();
     for ((p, q), &scale) in scales.indexed_iter() {
         if p < image.nrows() && q < image.ncols() {
-            flat.slice_mut(s![p..;order, q..;order])
-                .mapv_inplace(|v| (f64::from(v) * scale) as f32);
+            flat.slice_mut(s![p..;order, q..;order]).mapv_inplace(|v| (f64::from(v) * scale) as f32);
         }
     }
     flat
@@ -292,22 +281,13 @@ mod tests {
     fn both_methods_undo_the_distance_factor() {
         let image = uneven(1.1);
         let even = uneven(1e9);
-        let (by_mean, report) = flatten(
-            &image,
-            &order_two(),
-            Flattening::EqualMeans(PsfWidth::Known(1.0)),
-        )
-        .unwrap();
+        let (by_mean, report) =
+            flatten(&image, &order_two(), Flattening::EqualMeans(PsfWidth::Known(1.0))).unwrap();
         assert!(report.fallbacks.is_empty());
-        let (by_distance, _) = flatten(
-            &image,
-            &order_two(),
-            Flattening::DistanceFactor(PsfWidth::Estimated),
-        )
-        .unwrap();
+        let (by_distance, _) =
+            flatten(&image, &order_two(), Flattening::DistanceFactor(PsfWidth::Estimated)).unwrap();
         assert!(reference::disagreement(&by_distance, &even) < 1e-5);
-        let relative =
-            by_mean.mapv(|v| (f64::from(v) / gaussian_distance_factor(4.0, 2, 1.1)) as f32);
+        let relative = by_mean.mapv(|v| (f64::from(v) / gaussian_distance_factor(4.0, 2, 1.1)) as f32);
         assert!(reference::disagreement(&relative, &even) < 1e-5);
     }
 

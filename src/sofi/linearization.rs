@@ -77,12 +77,7 @@ impl LinearizationSettings {
     /// 20 plain iterations and the default reconvolution.
     #[must_use]
     pub fn new(psf: Psf) -> Self {
-        Self {
-            psf,
-            iterations: 20,
-            acceleration: Acceleration::None,
-            reconvolution: Reconvolution::Default,
-        }
+        Self { psf, iterations: 20, acceleration: Acceleration::None, reconvolution: Reconvolution::Default }
     }
 
     /// The same for a Gaussian of standard deviation `sigma_px` camera pixels.
@@ -133,10 +128,7 @@ pub fn deconvolve(
     acceleration: Acceleration,
 ) -> Array2<f32> {
     match ValidPart::of(image) {
-        Some(valid) => valid.restored(
-            &valid.deconvolved(psf, iterations, acceleration),
-            valid.peak,
-        ),
+        Some(valid) => valid.restored(&valid.deconvolved(psf, iterations, acceleration), valid.peak),
         None => Array2::from_elem(image.dim(), f32::NAN),
     }
 }
@@ -154,26 +146,15 @@ struct ValidPart<'a> {
 impl<'a> ValidPart<'a> {
     fn of(image: &'a ArrayRef2<f32>) -> Option<Self> {
         let (rows, columns) = (valid_span(image)?, valid_span(&image.t())?);
-        let mut data = image
-            .slice(s![rows.0..rows.1, columns.0..columns.1])
-            .as_standard_layout()
-            .into_owned();
-        let peak = data
-            .iter()
-            .copied()
-            .filter(|v| v.is_finite())
-            .fold(0.0, f32::max);
+        let mut data =
+            image.slice(s![rows.0..rows.1, columns.0..columns.1]).as_standard_layout().into_owned();
+        let peak = data.iter().copied().filter(|v| v.is_finite()).fold(0.0, f32::max);
         let peak = if peak > 0.0 { f64::from(peak) } else { 1.0 };
         data.mapv_inplace(|v| match v {
             v if v.is_finite() => (f64::from(v.max(0.0)) / peak) as f32,
             _ => f32::NAN,
         });
-        Some(Self {
-            image,
-            corner: (rows.0, columns.0),
-            data,
-            peak,
-        })
+        Some(Self { image, corner: (rows.0, columns.0), data, peak })
     }
 
     fn deconvolved(&self, psf: &Psf, iterations: usize, acceleration: Acceleration) -> Array2<f32> {
@@ -191,14 +172,11 @@ impl<'a> ValidPart<'a> {
         let (top, left) = self.corner;
         let (height, width) = part.dim();
         let inside: ArrayViewMut2<f32> = whole.slice_mut(s![top..top + height, left..left + width]);
-        Zip::from(inside)
-            .and(part)
-            .and(&self.data)
-            .for_each(|to, &value, datum| {
-                if !datum.is_nan() {
-                    *to = (f64::from(value) * scale) as f32;
-                }
-            });
+        Zip::from(inside).and(part).and(&self.data).for_each(|to, &value, datum| {
+            if !datum.is_nan() {
+                *to = (f64::from(value) * scale) as f32;
+            }
+        });
         whole
     }
 }
@@ -232,12 +210,7 @@ impl<'a> LucyRichardson<'a> {
             blur.apply_transposed_then(&mask, &mut coverage, |_, _| {});
             coverage
         });
-        Self {
-            data,
-            floor: blur.rounding_floor(),
-            blur,
-            coverage,
-        }
+        Self { data, floor: blur.rounding_floor(), blur, coverage }
     }
 
     fn plain(&self, iterations: usize) -> Array2<f32> {
@@ -262,9 +235,7 @@ impl<'a> LucyRichardson<'a> {
                 1 | 2 => 0.0,
                 _ => extrapolation(&step, &step_before),
             };
-            combine(&mut start, &now, &before, |x, old| {
-                (x + lambda * (x - old)).max(0.0)
-            });
+            combine(&mut start, &now, &before, |x, old| (x + lambda * (x - old)).max(0.0));
             std::mem::swap(&mut before, &mut now);
             self.step(&start, &mut ratio, &mut now);
             std::mem::swap(&mut step, &mut step_before);
@@ -278,11 +249,7 @@ impl<'a> LucyRichardson<'a> {
         self.blur.apply_then(estimate, ratio, |y, row| {
             for (value, &datum) in row.iter_mut().zip(row_of(self.data, y)) {
                 // False for missing data too.
-                *value = if datum > 0.0 {
-                    datum / value.max(self.floor)
-                } else {
-                    0.0
-                };
+                *value = if datum > 0.0 { datum / value.max(self.floor) } else { 0.0 };
             }
         });
         self.blur.apply_transposed_then(ratio, next, |y, row| {
@@ -297,9 +264,7 @@ impl<'a> LucyRichardson<'a> {
     /// Mean of the valid data such that `sum x H^T(m) = sum d` from the start.
     fn mean(&self) -> f32 {
         let valid = self.data.iter().filter(|v| !v.is_nan());
-        let (sum, count) = valid.fold((0.0, 0_usize), |(sum, count), &v| {
-            (sum + f64::from(v), count + 1)
-        });
+        let (sum, count) = valid.fold((0.0, 0_usize), |(sum, count), &v| (sum + f64::from(v), count + 1));
         (sum / count as f64) as f32
     }
 
@@ -337,10 +302,7 @@ fn without_faintest(value: f32) -> f32 {
 #[inline(always)]
 fn row_of(image: &Array2<f32>, y: usize) -> &[f32] {
     let width = image.ncols();
-    image
-        .as_slice()
-        .and_then(|values| values.get(y * width..(y + 1) * width))
-        .unwrap_or_default()
+    image.as_slice().and_then(|values| values.get(y * width..(y + 1) * width)).unwrap_or_default()
 }
 
 fn extrapolation(step: &Array2<f32>, before: &Array2<f32>) -> f32 {
@@ -360,12 +322,7 @@ fn dot(a: &Array2<f32>, b: &Array2<f32>) -> f64 {
     rows.iter().sum()
 }
 
-fn combine(
-    to: &mut Array2<f32>,
-    a: &Array2<f32>,
-    b: &Array2<f32>,
-    of: impl Fn(f32, f32) -> f32 + Sync,
-) {
+fn combine(to: &mut Array2<f32>, a: &Array2<f32>, b: &Array2<f32>, of: impl Fn(f32, f32) -> f32 + Sync) {
     let width = to.ncols().max(1);
     let rows = to.as_slice_mut().unwrap_or_default().par_chunks_mut(width);
     rows.enumerate().for_each(|(y, row)| {
@@ -401,21 +358,13 @@ mod tests {
 
     fn spots(height: usize, width: usize) -> Array2<f32> {
         let sharp = Array2::from_shape_fn((height, width), |(y, x)| {
-            if (y * 7 + x * 13) % 31 == 0 {
-                10.0 + (y * x % 5) as f32
-            } else {
-                0.0
-            }
+            if (y * 7 + x * 13) % 31 == 0 { 10.0 + (y * x % 5) as f32 } else { 0.0 }
         });
         convolve(&sharp, &Psf::gaussian(1.5).unwrap())
     }
 
     fn sum(image: &Array2<f32>) -> f64 {
-        image
-            .iter()
-            .filter(|v| !v.is_nan())
-            .map(|&v| f64::from(v))
-            .sum()
+        image.iter().filter(|v| !v.is_nan()).map(|&v| f64::from(v)).sum()
     }
 
     /// `H` as a matrix: every source pixel and its mirror images within reach.
@@ -524,10 +473,7 @@ mod tests {
                 let expected = 16.0_f32.powf(1.0 / order as f32);
                 for (value, datum) in linear.iter().zip(&image) {
                     assert_eq!(value.is_nan(), datum.is_nan());
-                    assert!(
-                        value.is_nan() || (value / expected - 1.0).abs() < 1e-5,
-                        "{value}"
-                    );
+                    assert!(value.is_nan() || (value / expected - 1.0).abs() < 1e-5, "{value}");
                 }
             }
         }
@@ -551,11 +497,7 @@ mod tests {
         let run = |image: Array2<f32>| linearize(&image, 2, &settings).unwrap();
         assert_eq!(run(Array2::zeros((7, 9))), Array2::zeros((7, 9)));
         assert_eq!(run(Array2::from_elem((3, 3), -2.0)), Array2::zeros((3, 3)));
-        assert!(
-            run(Array2::from_elem((3, 3), f32::NAN))
-                .iter()
-                .all(|v| v.is_nan())
-        );
+        assert!(run(Array2::from_elem((3, 3), f32::NAN)).iter().all(|v| v.is_nan()));
         assert_eq!(run(Array2::zeros((0, 4))).dim(), (0, 4));
         assert_eq!(run(Array2::zeros((4, 0))).dim(), (4, 0));
         let one = run(Array2::from_elem((1, 1), 9.0));
@@ -612,23 +554,16 @@ mod tests {
         let mean = deviations.mean_axis(ndarray::Axis(0)).unwrap();
         deviations -= &mean;
         let covariance = |a: (usize, usize), b: (usize, usize)| {
-            let (a, b) = (
-                deviations.slice(s![.., a.0, a.1]),
-                deviations.slice(s![.., b.0, b.1]),
-            );
+            let (a, b) = (deviations.slice(s![.., a.0, a.1]), deviations.slice(s![.., b.0, b.1]));
             a.dot(&b) / frames.len() as f64
         };
         Array2::from_shape_fn((2 * (height - 3) - 1, 2 * (width - 3) - 1), |(i, j)| {
             let (y, x) = (1 + i / 2, 1 + j / 2);
             let value = match (i % 2, j % 2) {
-                (0, 0) => {
-                    0.5 * (covariance((y - 1, x), (y + 1, x)) + covariance((y, x - 1), (y, x + 1)))
-                }
+                (0, 0) => 0.5 * (covariance((y - 1, x), (y + 1, x)) + covariance((y, x - 1), (y, x + 1))),
                 (0, _) => covariance((y, x), (y, x + 1)),
                 (_, 0) => covariance((y, x), (y + 1, x)),
-                _ => {
-                    0.5 * (covariance((y, x), (y + 1, x + 1)) + covariance((y + 1, x), (y, x + 1)))
-                }
+                _ => 0.5 * (covariance((y, x), (y + 1, x + 1)) + covariance((y + 1, x), (y, x + 1))),
             };
             value as f32
         })
@@ -651,12 +586,10 @@ mod tests {
             let Some(frames) = reference::pages(&format!("peer/{number}_noisyvid.tif")) else {
                 return;
             };
-            let expected =
-                reference::pages(&format!("peer/{number}_sofi2_linearized.tif")).unwrap();
+            let expected = reference::pages(&format!("peer/{number}_sofi2_linearized.tif")).unwrap();
             let distances = ndarray::array![[4.0, 1.0], [1.0, 2.0]];
             let method = flattening::Flattening::EqualMeans(flattening::PsfWidth::Known(1.15));
-            let (flat, _) =
-                flattening::flatten(&second_order(&frames), &distances, method).unwrap();
+            let (flat, _) = flattening::flatten(&second_order(&frames), &distances, method).unwrap();
             let mut settings = LinearizationSettings::new(Psf::from_fwhm(2.7).unwrap());
             settings.iterations = 10;
             settings.acceleration = Acceleration::BiggsAndrews;
@@ -669,9 +602,7 @@ mod tests {
                 linearize(&flat, 2, &settings).unwrap()
             };
             let of_plain = self::correlation(&plain, &expected[0]);
-            println!(
-                "peer {number}: correlation {correlation:.4}, 20 plain iterations {of_plain:.4}"
-            );
+            println!("peer {number}: correlation {correlation:.4}, 20 plain iterations {of_plain:.4}");
             assert!(correlation > least);
         }
     }

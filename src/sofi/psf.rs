@@ -145,11 +145,7 @@ impl GaussianPsf {
     /// # Errors
     /// [`PsfError::Sigma`] unless `0 < sigma <= MAX_SIGMA`.
     pub fn new(sigma: f64) -> Result<Self, PsfError> {
-        if sigma > 0.0 && sigma <= MAX_SIGMA {
-            Ok(Self { sigma })
-        } else {
-            Err(PsfError::Sigma(sigma))
-        }
+        if sigma > 0.0 && sigma <= MAX_SIGMA { Ok(Self { sigma }) } else { Err(PsfError::Sigma(sigma)) }
     }
 
     /// Standard deviation, pixels.
@@ -193,9 +189,7 @@ impl PsfImage {
         if values.iter().any(|v| *v < 0.0) || !(sum > 0.0 && sum.is_finite()) {
             return Err(PsfError::Values);
         }
-        let image = Self {
-            values: values.mapv(|v| (f64::from(v) / sum) as f32),
-        };
+        let image = Self { values: values.mapv(|v| (f64::from(v) / sum) as f32) };
         let dy = image.moment(|y, _| y);
         let dx = image.moment(|_, x| x);
         if dy.abs() > 0.5 || dx.abs() > 0.5 {
@@ -318,22 +312,15 @@ mod tests {
         for order in 2..=4 {
             let narrowed = image.narrowed(order).unwrap();
             let expected = 1.5 * (order as f64).sqrt();
-            assert!(
-                (narrowed.sigma() - expected).abs() < 0.02 * expected,
-                "{narrowed:?}"
-            );
+            assert!((narrowed.sigma() - expected).abs() < 0.02 * expected, "{narrowed:?}");
         }
     }
 
     #[test]
     fn integration_over_pixels_widens_by_a_twelfth() {
         let psf = GaussianPsf::new(2.0).unwrap();
-        let variance = |half: Vec<f64>| -> f64 {
-            half.iter()
-                .enumerate()
-                .map(|(x, v)| 2.0 * v * (x * x) as f64)
-                .sum()
-        };
+        let variance =
+            |half: Vec<f64>| -> f64 { half.iter().enumerate().map(|(x, v)| 2.0 * v * (x * x) as f64).sum() };
         let wider = variance(psf.pixel_integrated()) - variance(psf.sampled());
         assert!((wider - 1.0 / 12.0).abs() < 1e-3);
     }

@@ -172,10 +172,7 @@ impl Spectrum {
     /// [`SpectraError::Length`] or [`SpectraError::Point`].
     pub fn new(wavelengths_nm: Vec<f64>, values: Vec<f64>) -> Result<Self, SpectraError> {
         if wavelengths_nm.len() < 2 || wavelengths_nm.len() != values.len() {
-            return Err(SpectraError::Length {
-                wavelengths: wavelengths_nm.len(),
-                values: values.len(),
-            });
+            return Err(SpectraError::Length { wavelengths: wavelengths_nm.len(), values: values.len() });
         }
         let is_good = |i: usize| {
             wavelengths_nm[i].is_finite()
@@ -185,10 +182,7 @@ impl Spectrum {
         };
         match (0..values.len()).find(|&i| !is_good(i)) {
             Some(index) => Err(SpectraError::Point { index }),
-            None => Ok(Self {
-                wavelengths_nm,
-                values,
-            }),
+            None => Ok(Self { wavelengths_nm, values }),
         }
     }
 
@@ -281,10 +275,7 @@ mod tests {
             assert!(SpectralResponse::from_transmission(bad).is_err());
             assert!(SpectralResponse::measured(0.5, bad).is_err());
         }
-        assert_eq!(
-            SpectralResponse::from_sums(0.0, 0.0),
-            Err(SpectraError::NoLight)
-        );
+        assert_eq!(SpectralResponse::from_sums(0.0, 0.0), Err(SpectraError::NoLight));
         assert!(SpectralResponse::from_sums(-1.0, 5.0).is_err());
     }
 

@@ -71,10 +71,7 @@ pub enum UnmixingError {
         columns: usize,
     },
     /// Condition number above [`MAX_CONDITION`].
-    #[error(
-        "cannot be told apart: {} (condition number {condition:.3e})",
-        describe(groups)
-    )]
+    #[error("cannot be told apart: {} (condition number {condition:.3e})", describe(groups))]
     Indistinguishable {
         /// Each group holds the names of species that look alike to these channels.
         groups: Vec<Vec<String>>,
@@ -163,9 +160,7 @@ impl UnmixingMatrix {
         }
         let matrix = DMatrix::from_fn(spectral_channels.len(), names.len(), |row, i| {
             let set = &spectral_channels[row];
-            set.iter()
-                .map(|&channel| proportions[[channel, i]])
-                .product()
+            set.iter().map(|&channel| proportions[[channel, i]]).product()
         });
         let singular_values = checked_singular_values(&matrix, names)?;
         Ok(Self {
@@ -224,10 +219,7 @@ impl UnmixingMatrix {
     /// the row norms of the pseudo-inverse.
     #[must_use]
     pub fn noise_gain(&self) -> Vec<f64> {
-        self.pseudo_inverse
-            .row_iter()
-            .map(|row| row.norm())
-            .collect()
+        self.pseudo_inverse.row_iter().map(|row| row.norm()).collect()
     }
 
     /// Determinant, if there are as many species as spectral channels.
@@ -293,15 +285,9 @@ impl UnmixingMatrix {
             UnmixingMethod::PseudoInverse => Solver::Linear(self.pseudo_inverse.clone()),
             UnmixingMethod::NonNegative => Solver::NonNegative(ActiveSets::new(&self.matrix)?),
             UnmixingMethod::Weighted { weights } => Solver::Linear(self.weighted_inverse(weights)?),
-            UnmixingMethod::Regularized { strength } => {
-                Solver::Linear(self.regularized_inverse(*strength)?)
-            }
+            UnmixingMethod::Regularized { strength } => Solver::Linear(self.regularized_inverse(*strength)?),
         };
-        Ok(Unmixer {
-            num_channels: self.matrix.nrows(),
-            num_species: self.matrix.ncols(),
-            solver,
-        })
+        Ok(Unmixer { num_channels: self.matrix.nrows(), num_species: self.matrix.ncols(), solver })
     }
 
     fn weighted_inverse(&self, weights: &[f64]) -> Result<DMatrix<f64>, UnmixingError> {
@@ -312,10 +298,8 @@ impl UnmixingMatrix {
                 self.matrix.nrows()
             )));
         }
-        let roots = DMatrix::from_diagonal(&DVector::from_iterator(
-            weights.len(),
-            weights.iter().map(|w| w.sqrt()),
-        ));
+        let roots =
+            DMatrix::from_diagonal(&DVector::from_iterator(weights.len(), weights.iter().map(|w| w.sqrt())));
         Ok(pseudo_inverse(&(&roots * &self.matrix)) * roots)
     }
 
@@ -406,10 +390,7 @@ impl Unmixer {
     }
 
     fn wrong_images(&self, got: String) -> UnmixingError {
-        UnmixingError::Images {
-            expected: self.num_channels,
-            got,
-        }
+        UnmixingError::Images { expected: self.num_channels, got }
     }
 }
 
@@ -421,10 +402,7 @@ struct Scratch {
 
 impl Scratch {
     fn new(num_channels: usize, width: usize) -> Self {
-        Self {
-            channels: vec![vec![0.0; width]; num_channels],
-            sums: vec![0.0; width],
-        }
+        Self { channels: vec![vec![0.0; width]; num_channels], sums: vec![0.0; width] }
     }
 
     fn load(&mut self, kappa: &[ArrayView2<f32>], y: usize) {
@@ -432,19 +410,14 @@ impl Scratch {
             let row = image.row(y);
             match row.as_slice() {
                 Some(values) => copy_widened(values, channel),
-                None => channel
-                    .iter_mut()
-                    .zip(row)
-                    .for_each(|(to, &from)| *to = f64::from(from)),
+                None => channel.iter_mut().zip(row).for_each(|(to, &from)| *to = f64::from(from)),
             }
         }
     }
 }
 
 fn copy_widened(from: &[f32], to: &mut [f64]) {
-    to.iter_mut()
-        .zip(from)
-        .for_each(|(to, &from)| *to = f64::from(from));
+    to.iter_mut().zip(from).for_each(|(to, &from)| *to = f64::from(from));
 }
 
 fn linear_row(inverse: &DMatrix<f64>, scratch: &mut Scratch, species: &mut [&mut [f32]]) {
@@ -513,9 +486,7 @@ impl ActiveSets {
         Ok(Self {
             transposed: matrix.transpose(),
             normal: matrix.transpose() * matrix,
-            inverses: (0..1_usize << num_species)
-                .map(|set| subset_inverse(matrix, set))
-                .collect(),
+            inverses: (0..1_usize << num_species).map(|set| subset_inverse(matrix, set)).collect(),
         })
     }
 
@@ -560,17 +531,9 @@ impl ActiveSets {
     }
 
     /// The species outside the set along which the misfit falls most steeply.
-    fn steepest(
-        &self,
-        projected: &[f64],
-        species: &[f64],
-        passive: usize,
-        tolerance: f64,
-    ) -> Option<usize> {
+    fn steepest(&self, projected: &[f64], species: &[f64], passive: usize, tolerance: f64) -> Option<usize> {
         let descent = |i: usize| {
-            let fitted: f64 = (0..species.len())
-                .map(|j| self.normal[(i, j)] * species[j])
-                .sum();
+            let fitted: f64 = (0..species.len()).map(|j| self.normal[(i, j)] * species[j]).sum();
             projected[i] - fitted
         };
         (0..species.len())
@@ -594,9 +557,7 @@ fn first_to_vanish(species: &[f64], trial: &[f64], passive: usize) -> Option<(us
 }
 
 fn subset_inverse(matrix: &DMatrix<f64>, set: usize) -> DMatrix<f64> {
-    let members: Vec<usize> = (0..matrix.ncols())
-        .filter(|i| set & (1 << i) != 0)
-        .collect();
+    let members: Vec<usize> = (0..matrix.ncols()).filter(|i| set & (1 << i) != 0).collect();
     let mut inverse = DMatrix::zeros(matrix.ncols(), matrix.nrows());
     if !members.is_empty() {
         let solved = pseudo_inverse(&matrix.select_columns(&members));
@@ -649,12 +610,7 @@ impl SingularValues {
 }
 
 /// Rotates columns `p` and `q` until they are orthogonal; false if they were.
-fn make_orthogonal(
-    scaled: &mut DMatrix<f64>,
-    right: &mut DMatrix<f64>,
-    p: usize,
-    q: usize,
-) -> bool {
+fn make_orthogonal(scaled: &mut DMatrix<f64>, right: &mut DMatrix<f64>, p: usize, q: usize) -> bool {
     let product = scaled.column(p).dot(&scaled.column(q));
     let (norm_p, norm_q) = (scaled.column(p).norm(), scaled.column(q).norm());
     if product.abs() <= f64::EPSILON * norm_p * norm_q {
@@ -696,29 +652,18 @@ fn check_proportions(
         return Err(UnmixingError::NoSpecies);
     }
     if names.len() != columns {
-        return Err(UnmixingError::Names {
-            names: names.len(),
-            columns,
-        });
+        return Err(UnmixingError::Names { names: names.len(), columns });
     }
     if !(1..=MAX_ORDER).contains(&order) || physical_channels == 0 {
-        return Err(UnmixingError::Order {
-            order,
-            physical_channels,
-        });
+        return Err(UnmixingError::Order { order, physical_channels });
     }
     for ((_, i), &value) in proportions.indexed_iter() {
         if !(0.0..=1.0).contains(&value) {
-            return Err(UnmixingError::Coefficient {
-                name: names[i].clone(),
-                value,
-            });
+            return Err(UnmixingError::Coefficient { name: names[i].clone(), value });
         }
     }
     match (0..columns).find(|&i| proportions.column(i).iter().all(|&share| share == 0.0)) {
-        Some(dark) => Err(UnmixingError::Invisible {
-            name: names[dark].clone(),
-        }),
+        Some(dark) => Err(UnmixingError::Invisible { name: names[dark].clone() }),
         None => Ok(()),
     }
 }
@@ -742,10 +687,7 @@ fn channel_sets(order: usize, num_physical: usize) -> Vec<Vec<usize>> {
     sets
 }
 
-fn checked_singular_values(
-    matrix: &DMatrix<f64>,
-    names: &[String],
-) -> Result<Vec<f64>, UnmixingError> {
+fn checked_singular_values(matrix: &DMatrix<f64>, names: &[String]) -> Result<Vec<f64>, UnmixingError> {
     let svd = SingularValues::of(matrix);
     let condition = condition(&svd.values);
     // Not "greater than": the condition of a singular matrix may be NaN.
@@ -757,10 +699,7 @@ fn checked_singular_values(
         groups = vec![null_members(&svd)];
     }
     let named = |group: Vec<usize>| group.into_iter().map(|i| names[i].clone()).collect();
-    Err(UnmixingError::Indistinguishable {
-        groups: groups.into_iter().map(named).collect(),
-        condition,
-    })
+    Err(UnmixingError::Indistinguishable { groups: groups.into_iter().map(named).collect(), condition })
 }
 
 /// Largest over smallest of values sorted from large to small.
@@ -772,10 +711,8 @@ fn condition(singular_values: &[f64]) -> f64 {
 
 /// Groups of two or more species whose columns point the same way.
 fn parallel_columns(matrix: &DMatrix<f64>) -> Vec<Vec<usize>> {
-    let units: Vec<DVector<f64>> = matrix
-        .column_iter()
-        .map(|column| column.into_owned().normalize())
-        .collect();
+    let units: Vec<DVector<f64>> =
+        matrix.column_iter().map(|column| column.into_owned().normalize()).collect();
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (i, unit) in units.iter().enumerate() {
         let same = |group: &&mut Vec<usize>| (&units[group[0]] - unit).norm() < PARALLEL;
@@ -792,16 +729,11 @@ fn parallel_columns(matrix: &DMatrix<f64>) -> Vec<Vec<usize>> {
 fn null_members(svd: &SingularValues) -> Vec<usize> {
     let unseen = svd.values[0] / MAX_CONDITION;
     let weight = |i: usize| -> f64 {
-        (0..svd.values.len())
-            .filter(|&k| svd.values[k] < unseen)
-            .map(|k| svd.right[(i, k)].powi(2))
-            .sum()
+        (0..svd.values.len()).filter(|&k| svd.values[k] < unseen).map(|k| svd.right[(i, k)].powi(2)).sum()
     };
     let weights: Vec<f64> = (0..svd.values.len()).map(weight).collect();
     let most = weights.iter().copied().fold(0.0, f64::max);
-    (0..weights.len())
-        .filter(|&i| weights[i] >= 0.01 * most)
-        .collect()
+    (0..weights.len()).filter(|&i| weights[i] >= 0.01 * most).collect()
 }
 
 fn describe(groups: &[Vec<String>]) -> String {
@@ -873,14 +805,8 @@ mod tests {
     }
 
     fn table_s1() -> Vec<Species> {
-        let zt_594 = [
-            ("Alexa Fluor 488", 0.02),
-            ("Atto 565", 0.35),
-            ("Alexa Fluor 647", 0.98),
-        ];
-        zt_594
-            .map(|(name, t)| Species::new(name, t).unwrap())
-            .to_vec()
+        let zt_594 = [("Alexa Fluor 488", 0.02), ("Atto 565", 0.35), ("Alexa Fluor 647", 0.98)];
+        zt_594.map(|(name, t)| Species::new(name, t).unwrap()).to_vec()
     }
 
     fn names(count: usize) -> Vec<String> {
@@ -890,10 +816,7 @@ mod tests {
     /// The twin: every subset of species, solved by its normal equations; the least misfit wins.
     fn by_all_subsets(matrix: &UnmixingMatrix, kappa: &[f64]) -> (Vec<f64>, f64) {
         let m = &matrix.matrix;
-        let mut best = (
-            vec![0.0; m.ncols()],
-            kappa.iter().map(|k| k * k).sum::<f64>(),
-        );
+        let mut best = (vec![0.0; m.ncols()], kappa.iter().map(|k| k * k).sum::<f64>());
         for set in 1..1_usize << m.ncols() {
             let members: Vec<usize> = (0..m.ncols()).filter(|i| set & (1 << i) != 0).collect();
             let part = m.select_columns(&members);
@@ -904,10 +827,7 @@ mod tests {
             let solved = inverse * right;
             if solved.iter().all(|&s| s >= 0.0) {
                 let mut species = vec![0.0; m.ncols()];
-                members
-                    .iter()
-                    .zip(solved.iter())
-                    .for_each(|(&i, &s)| species[i] = s);
+                members.iter().zip(solved.iter()).for_each(|(&i, &s)| species[i] = s);
                 let misfit = misfit(matrix, &species, kappa);
                 if misfit < best.1 {
                     best = (species, misfit);
@@ -1001,11 +921,7 @@ mod tests {
     #[test]
     fn the_pseudo_inverse_is_exact_to_rounding() {
         // A case that a general-purpose decomposition solved to eight digits only.
-        let t = [
-            0.037_001_195_345_244_59,
-            0.565_080_417_060_820_9,
-            0.961_669_960_954_710_6,
-        ];
+        let t = [0.037_001_195_345_244_59, 0.565_080_417_060_820_9, 0.961_669_960_954_710_6];
         let matrix = UnmixingMatrix::new(4, &dyes(&t)).unwrap();
         let identity = &matrix.pseudo_inverse * &matrix.matrix;
         assert!((identity - DMatrix::identity(3, 3)).amax() < 1e-14);
@@ -1033,10 +949,7 @@ mod tests {
 
     #[test]
     fn general_channels_are_counted_and_ordered() {
-        assert_eq!(
-            channel_sets(2, 3),
-            [[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]]
-        );
+        assert_eq!(channel_sets(2, 3), [[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]]);
         assert_eq!(channel_sets(3, 1), [[0, 0, 0]]);
         assert_eq!(channel_sets(4, 3).len(), 15);
         let one = Array2::from_elem((1, 1), 0.5);
@@ -1062,9 +975,7 @@ mod tests {
     fn dyes_of_the_same_color_are_refused_by_name() {
         let mut species = table_s1();
         species[2] = Species::new("Atto 594", 0.35).unwrap();
-        let Err(error) = UnmixingMatrix::new(2, &species) else {
-            panic!()
-        };
+        let Err(error) = UnmixingMatrix::new(2, &species) else { panic!() };
         let message = error.to_string();
         assert!(message.contains("Atto 565 and Atto 594"), "{message}");
         assert!(!message.contains("488"), "{message}");
@@ -1075,9 +986,7 @@ mod tests {
         // The third dye is the mean of the first two; the fourth stands apart.
         let shares = Array2::from_shape_vec(
             (4, 4),
-            vec![
-                0.8, 0.2, 0.5, 0.0, 0.2, 0.8, 0.5, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.1,
-            ],
+            vec![0.8, 0.2, 0.5, 0.0, 0.2, 0.8, 0.5, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.1],
         )
         .unwrap();
         let Err(UnmixingError::Indistinguishable { groups, .. }) =
@@ -1090,13 +999,9 @@ mod tests {
 
     #[test]
     fn impossible_systems_are_refused() {
-        let refused =
-            |order, shares: &[f64]| UnmixingMatrix::new(order, &dyes(shares)).unwrap_err();
+        let refused = |order, shares: &[f64]| UnmixingMatrix::new(order, &dyes(shares)).unwrap_err();
         assert_eq!(refused(2, &[]), UnmixingError::NoSpecies);
-        let too_many = UnmixingError::TooManySpecies {
-            species: 4,
-            spectral_channels: 3,
-        };
+        let too_many = UnmixingError::TooManySpecies { species: 4, spectral_channels: 3 };
         assert_eq!(refused(2, &[0.0, 0.3, 0.6, 0.9]), too_many);
         assert!(matches!(refused(0, &[0.5]), UnmixingError::Order { .. }));
         assert!(matches!(refused(99, &[0.5]), UnmixingError::Order { .. }));
@@ -1116,30 +1021,14 @@ mod tests {
         let matrix = UnmixingMatrix::new(2, &table_s1()).unwrap();
         let (small, large) = (Array2::zeros((2, 2)), Array2::zeros((2, 3)));
         assert!(matrix.unmix(&[small.view(), small.view()]).is_err());
-        assert!(
-            matrix
-                .unmix(&[small.view(), small.view(), large.view()])
-                .is_err()
-        );
+        assert!(matrix.unmix(&[small.view(), small.view(), large.view()]).is_err());
         let weighted = |weights| matrix.unmixer(&UnmixingMethod::Weighted { weights });
         assert!(weighted(vec![1.0, 1.0]).is_err());
         assert!(weighted(vec![1.0, 0.0, 1.0]).is_err());
-        assert!(
-            matrix
-                .unmixer(&UnmixingMethod::Regularized { strength: -1.0 })
-                .is_err()
-        );
-        assert!(
-            matrix
-                .unmixer(&UnmixingMethod::NonNegative)
-                .unwrap()
-                .pixel(&[1.0])
-                .is_err()
-        );
+        assert!(matrix.unmixer(&UnmixingMethod::Regularized { strength: -1.0 }).is_err());
+        assert!(matrix.unmixer(&UnmixingMethod::NonNegative).unwrap().pixel(&[1.0]).is_err());
         let empty: Array2<f32> = Array2::zeros((0, 0));
-        let species = matrix
-            .unmix(&[empty.view(), empty.view(), empty.view()])
-            .unwrap();
+        let species = matrix.unmix(&[empty.view(), empty.view(), empty.view()]).unwrap();
         assert_eq!(species[2].dim(), (0, 0));
     }
 
@@ -1164,10 +1053,7 @@ mod tests {
         let image = Array2::from_shape_fn((5, 4), |(y, x)| (y * 7 + x) as f32);
         let kappa = [image.view(), image.view(), image.view()];
         let turned = [image.t(), image.t(), image.t()];
-        let (plain, turned) = (
-            matrix.unmix(&kappa).unwrap(),
-            matrix.unmix(&turned).unwrap(),
-        );
+        let (plain, turned) = (matrix.unmix(&kappa).unwrap(), matrix.unmix(&turned).unwrap());
         assert_eq!(plain[1].t(), turned[1]);
     }
 
@@ -1175,8 +1061,7 @@ mod tests {
     fn agrees_with_the_reference_of_two_cameras() {
         for order in 2..=4 {
             let folder = "twocamera/expected_";
-            let Some(kappa) = reference::pages(&format!("{folder}cumulants_order{order}.tif"))
-            else {
+            let Some(kappa) = reference::pages(&format!("{folder}cumulants_order{order}.tif")) else {
                 return;
             };
             let expected = reference::pages(&format!("{folder}unmixed_order{order}.tif")).unwrap();

@@ -47,9 +47,7 @@ pub(crate) struct Tiff {
 impl Tiff {
     /// Small, uncompressed, little-endian, with `num_pages` pages of distinct pixels.
     pub(crate) fn new(sample: Sample, num_pages: usize, height: usize, width: usize) -> Tiff {
-        let pages = (0..num_pages)
-            .map(|page| pixels(sample, page, height * width))
-            .collect();
+        let pages = (0..num_pages).map(|page| pixels(sample, page, height * width)).collect();
         Tiff {
             is_big: false,
             is_big_endian: false,
@@ -72,11 +70,7 @@ impl Tiff {
     }
 
     pub(crate) fn build(&self) -> Vec<u8> {
-        let mut file = if self.is_big_endian {
-            b"MM".to_vec()
-        } else {
-            b"II".to_vec()
-        };
+        let mut file = if self.is_big_endian { b"MM".to_vec() } else { b"II".to_vec() };
         let mut pointer_at;
         if self.is_big {
             for number in [43, 8, 0] {
@@ -213,11 +207,7 @@ impl Tiff {
         for top in (0..self.height).step_by(rows) {
             for left in (0..self.width).step_by(columns) {
                 let mut bytes = Vec::new();
-                let bottom = if is_tiled {
-                    top + rows
-                } else {
-                    self.height.min(top + rows)
-                };
+                let bottom = if is_tiled { top + rows } else { self.height.min(top + rows) };
                 for y in top..bottom {
                     let row: Vec<u32> = (left..left + columns)
                         .map(|x| match y < self.height && x < self.width {
@@ -254,21 +244,18 @@ impl Tiff {
                     before = byte;
                 }
             }
-            _ => row
-                .iter()
-                .for_each(|value| self.put(&mut bytes, u64::from(*value), size)),
+            _ => row.iter().for_each(|value| self.put(&mut bytes, u64::from(*value), size)),
         }
         bytes
     }
 
     fn compress(&self, plain: &[u8]) -> Vec<u8> {
         match self.compression {
-            5 => weezl::encode::Encoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8)
-                .encode(plain)
-                .unwrap(),
+            5 => {
+                weezl::encode::Encoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8).encode(plain).unwrap()
+            }
             8 | 32946 => {
-                let mut packer =
-                    flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
+                let mut packer = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
                 packer.write_all(plain).unwrap();
                 packer.finish().unwrap()
             }

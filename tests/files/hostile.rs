@@ -60,14 +60,7 @@ fn what_is_no_file_is_a_usage_error() {
 
 #[test]
 fn every_truncation_is_an_error() {
-    for tiff in [
-        plain(),
-        Tiff {
-            is_big: true,
-            compression: 8,
-            ..plain()
-        },
-    ] {
+    for tiff in [plain(), Tiff { is_big: true, compression: 8, ..plain() }] {
         let whole = tiff.build();
         for length in 0..whole.len() {
             refusal(&whole[..length]);
@@ -92,10 +85,7 @@ fn unsupported_kinds_are_refused_by_name() {
         (plain().set(262, 3, 3), "palette"),
         (plain().set(277, 3, 2), "2 samples per pixel"),
         (plain().set(258, 3, 12), "12-bit unsigned integer"),
-        (
-            plain().set(258, 3, 64).set(339, 3, 3),
-            "64-bit floating-point",
-        ),
+        (plain().set(258, 3, 64).set(339, 3, 3), "64-bit floating-point"),
         (plain().set(339, 3, 2), "signed integer"),
         (plain().set(259, 3, 7), "JPEG"),
         (plain().set(259, 3, 32773), "PackBits"),
@@ -115,31 +105,14 @@ fn absurd_sizes_ask_for_no_memory() {
         plain().set(256, 4, huge),
         plain().set(256, 4, huge).set(257, 4, huge),
         plain().set(256, 4, 10_000).set(257, 4, 10_000),
-        Tiff {
-            compression: 8,
-            ..plain()
-        }
-        .set(256, 4, 11_000)
-        .set(257, 4, 11_000),
+        Tiff { compression: 8, ..plain() }.set(256, 4, 11_000).set(257, 4, 11_000),
         plain().set(256, 4, 0),
         plain().set(278, 4, 0),
         plain().set(273, 4, huge),
-        Tiff {
-            chunks: Chunks::Tiles(16, 16),
-            ..plain()
-        }
-        .set(322, 4, huge),
-        Tiff {
-            chunks: Chunks::Tiles(16, 16),
-            ..plain()
-        }
-        .set(323, 4, 0),
+        Tiff { chunks: Chunks::Tiles(16, 16), ..plain() }.set(322, 4, huge),
+        Tiff { chunks: Chunks::Tiles(16, 16), ..plain() }.set(323, 4, 0),
         plain().set(257, 4, 1 << 20).set(278, 4, 1),
-        Tiff {
-            compression: 5,
-            ..plain()
-        }
-        .set(279, 4, 0),
+        Tiff { compression: 5, ..plain() }.set(279, 4, 0),
     ];
     for tiff in cases {
         refusal(&tiff.build());
@@ -152,27 +125,13 @@ fn absurd_sizes_ask_for_no_memory() {
 
 #[test]
 fn missing_fields_are_named() {
-    for (tag, name) in [
-        (256, "ImageWidth"),
-        (257, "ImageLength"),
-        (273, "StripOffsets"),
-    ] {
-        let tiff = Tiff {
-            without: vec![tag],
-            ..plain()
-        };
+    for (tag, name) in [(256, "ImageWidth"), (257, "ImageLength"), (273, "StripOffsets")] {
+        let tiff = Tiff { without: vec![tag], ..plain() };
         assert!(refusal(&tiff.build()).contains(name));
     }
-    let strips = Tiff {
-        chunks: Chunks::Strips(2),
-        without: vec![279],
-        ..plain()
-    };
+    let strips = Tiff { chunks: Chunks::Strips(2), without: vec![279], ..plain() };
     assert!(refusal(&strips.build()).contains("StripByteCounts"));
-    let defaults = Tiff {
-        without: vec![279, 262, 277, 339, 259, 317],
-        ..plain()
-    };
+    let defaults = Tiff { without: vec![279, 262, 277, 339, 259, 317], ..plain() };
     let (_folder, path) = file_of(&defaults.build());
     assert_eq!(read_all(&path).unwrap().len(), 3);
 }
@@ -191,18 +150,14 @@ fn pages_of_differing_size_are_refused() {
     let second_directory = u32::from_le_bytes(second[4..8].try_into().unwrap()) as usize;
     file.extend(&second[second_directory..]);
     let said = refusal(&file);
-    assert!(
-        said.contains("page 2") && said.contains("6 x 8") && said.contains("8 x 6"),
-        "{said}"
-    );
+    assert!(said.contains("page 2") && said.contains("6 x 8") && said.contains("8 x 6"), "{said}");
 }
 
 #[test]
 fn descriptions_that_do_not_fit_the_pages_are_refused() {
     let mut tiff = plain();
     tiff.description =
-        r#"<?xml version="1.0"?><OME><Image><Pixels SizeC="2" SizeT="9"/></Image></OME>"#
-            .to_owned();
+        r#"<?xml version="1.0"?><OME><Image><Pixels SizeC="2" SizeT="9"/></Image></OME>"#.to_owned();
     assert!(refusal(&tiff.build()).contains("2 channels"));
     tiff.description = "<?xml version=\"1.0\"?><OME><Image".to_owned();
     assert!(refusal(&tiff.build()).contains("OME-XML"));
@@ -215,13 +170,7 @@ fn descriptions_that_do_not_fit_the_pages_are_refused() {
 }
 
 fn damaged_file() -> impl Strategy<Value = Vec<u8>> {
-    let kinds = (
-        0..3_usize,
-        0..5_usize,
-        any::<bool>(),
-        any::<bool>(),
-        any::<bool>(),
-    );
+    let kinds = (0..3_usize, 0..5_usize, any::<bool>(), any::<bool>(), any::<bool>());
     let flips = proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..12);
     (kinds, flips, any::<prop::sample::Index>(), any::<bool>()).prop_map(
         |((sample, compression, is_big, is_big_endian, is_tiled), flips, end, is_cut)| {
@@ -230,18 +179,13 @@ fn damaged_file() -> impl Strategy<Value = Vec<u8>> {
                 is_big,
                 is_big_endian,
                 compression: [1, 5, 8, 32946, 50000][compression],
-                chunks: if is_tiled {
-                    Chunks::Tiles(16, 16)
-                } else {
-                    Chunks::Strips(3)
-                },
+                chunks: if is_tiled { Chunks::Tiles(16, 16) } else { Chunks::Strips(3) },
                 ..Tiff::new(sample, 2, 9, 21)
             };
             tiff.description = if is_tiled {
                 "ImageJ=1.53t\nimages=2\nchannels=2\n".to_owned()
             } else {
-                r#"<OME><Image><Pixels SizeC="2" SizeT="1" PhysicalSizeX="0.1"/></Image></OME>"#
-                    .to_owned()
+                r#"<OME><Image><Pixels SizeC="2" SizeT="1" PhysicalSizeX="0.1"/></Image></OME>"#.to_owned()
             };
             let mut bytes = tiff.build();
             for (at, value) in flips {

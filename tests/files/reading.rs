@@ -20,18 +20,11 @@ fn assert_reads_back(tiff: &Tiff) {
 
 #[test]
 fn every_type_compression_layout_order_and_size_reads_back() {
-    let layouts = [
-        Chunks::Strips(17),
-        Chunks::Strips(5),
-        Chunks::Tiles(16, 16),
-        Chunks::Tiles(32, 48),
-    ];
+    let layouts = [Chunks::Strips(17), Chunks::Strips(5), Chunks::Tiles(16, 16), Chunks::Tiles(32, 48)];
     for sample in [Sample::U8, Sample::U16, Sample::F32] {
         for compression in [1, 5, 8, 32946, 50000] {
             for chunks in layouts {
-                for (is_big, is_big_endian) in
-                    [(false, false), (false, true), (true, false), (true, true)]
-                {
+                for (is_big, is_big_endian) in [(false, false), (false, true), (true, false), (true, true)] {
                     for predictor in [1, 2, 3] {
                         let is_defined = match predictor {
                             1 => true,
@@ -58,10 +51,7 @@ fn every_type_compression_layout_order_and_size_reads_back() {
 #[test]
 fn large_frames_pass_through_several_fetches() {
     for compression in [5, 8, 50000] {
-        assert_reads_back(&Tiff {
-            compression,
-            ..Tiff::new(Sample::U16, 2, 300, 401)
-        });
+        assert_reads_back(&Tiff { compression, ..Tiff::new(Sample::U16, 2, 300, 401) });
     }
 }
 
@@ -74,10 +64,7 @@ fn seeking_gives_the_same_frames_as_reading_on() {
     for frame in [4, 0, 5, 2] {
         stack.seek(frame).unwrap();
         assert!(stack.read_counts(&mut counts).unwrap());
-        assert_eq!(
-            bits(&FrameBuffer::Counts(counts.clone())),
-            tiff.pages[frame]
-        );
+        assert_eq!(bits(&FrameBuffer::Counts(counts.clone())), tiff.pages[frame]);
     }
     stack.seek(6).unwrap();
     assert!(!stack.read_counts(&mut counts).unwrap());
@@ -99,11 +86,7 @@ fn four_thousand_pages_open_quickly() {
     let start = Instant::now();
     let mut stack = ImageStack::open(&path).unwrap();
     assert_eq!(stack.info().frames, 4000);
-    assert!(
-        start.elapsed() < Duration::from_secs(1),
-        "{:?}",
-        start.elapsed()
-    );
+    assert!(start.elapsed() < Duration::from_secs(1), "{:?}", start.elapsed());
     stack.seek(3999).unwrap();
     assert!(stack.read_counts(&mut [0; 256]).unwrap());
 }
@@ -118,10 +101,7 @@ fn ome_channels_are_told_apart_in_every_order() {
         let (_folder, path) = file_of(&tiff.build());
         let mut stack = ImageStack::open(&path).unwrap();
         let info = stack.info().clone();
-        assert_eq!(
-            (info.frames, info.channels, info.dialect),
-            (3, 2, Dialect::Ome)
-        );
+        assert_eq!((info.frames, info.channels, info.dialect), (3, 2, Dialect::Ome));
         assert_eq!(info.channel_names, ["R", "T"]);
         let step = planes[1] - planes[0];
         for channel in 0..2 {
@@ -166,10 +146,7 @@ fn imagej_stacks_with_one_directory_hold_all_frames() {
     let (_folder, path) = file_of(&file);
     let mut stack = ImageStack::open(&path).unwrap();
     let info = stack.info().clone();
-    assert_eq!(
-        (info.frames, info.channels, info.dialect),
-        (3, 2, Dialect::ImageJ)
-    );
+    assert_eq!((info.frames, info.channels, info.dialect), (3, 2, Dialect::ImageJ));
     assert_eq!(info.pixel_size_nm, Some([100.0, 100.0]));
     assert_eq!(info.frame_interval, Some(Duration::from_millis(50)));
     stack.select_channel(1).unwrap();
@@ -180,10 +157,7 @@ fn imagej_stacks_with_one_directory_hold_all_frames() {
 
     let (_folder, path) = file_of(&file[..file.len() - 1]);
     let said = ImageStack::open(&path).unwrap_err().to_string();
-    assert!(
-        said.contains("promises 6 images, the file holds 5"),
-        "{said}"
-    );
+    assert!(said.contains("promises 6 images, the file holds 5"), "{said}");
 }
 
 #[test]
@@ -208,10 +182,8 @@ fn frames_beyond_four_gigabytes_are_reached() {
     let (_folder, path) = file_of(&head);
     let mut file = File::options().write(true).open(&path).unwrap();
     let frame_bytes = 2 * 1024 * 1024_u64;
-    file.set_len(head.len() as u64 + 3000 * frame_bytes)
-        .unwrap();
-    file.seek(SeekFrom::Start(head.len() as u64 + 2999 * frame_bytes))
-        .unwrap();
+    file.set_len(head.len() as u64 + 3000 * frame_bytes).unwrap();
+    file.seek(SeekFrom::Start(head.len() as u64 + 2999 * frame_bytes)).unwrap();
     file.write_all(&[0x12, 0x34]).unwrap();
     let start = Instant::now();
     let mut stack = ImageStack::open(&path).unwrap();
@@ -256,11 +228,7 @@ fn files_of_others_open() {
     let mut num_files = 0;
     for group in groups.flatten().filter(|group| group.path().is_dir()) {
         for file in std::fs::read_dir(group.path()).unwrap().flatten() {
-            if file
-                .path()
-                .extension()
-                .is_some_and(|extension| extension == "tif")
-            {
+            if file.path().extension().is_some_and(|extension| extension == "tif") {
                 let frames = read_all(&file.path()).unwrap();
                 assert!(!frames.is_empty());
                 num_files += 1;

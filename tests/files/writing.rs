@@ -6,8 +6,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use sofiscope::files::{
-    Dialect, FileError, FrameBuffer, ImageStack, OutputDirectory, ResultHeader, StackHeader,
-    StackWriter, Storage, write_result,
+    Dialect, FileError, FrameBuffer, ImageStack, OutputDirectory, ResultHeader, StackHeader, StackWriter,
+    Storage, write_result,
 };
 use tiff::decoder::{Decoder, DecodingResult};
 
@@ -27,23 +27,14 @@ fn result_header(storage: Storage) -> ResultHeader {
 }
 
 fn planes() -> Vec<Vec<f32>> {
-    let plane = |page: u32| {
-        (0..35)
-            .map(|index| (page * 100 + index) as f32 * 0.25)
-            .collect()
-    };
+    let plane = |page: u32| (0..35).map(|index| (page * 100 + index) as f32 * 0.25).collect();
     let mut planes: Vec<Vec<f32>> = (0..3).map(plane).collect();
     planes[1][3] = f32::NAN;
     planes
 }
 
 fn assert_same_bits(left: &[f32], right: &[f32]) {
-    let bits = |values: &[f32]| {
-        values
-            .iter()
-            .map(|value| value.to_bits())
-            .collect::<Vec<_>>()
-    };
+    let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(left), bits(right));
 }
 
@@ -57,10 +48,7 @@ fn results_come_back_with_names_and_pixel_size() {
         write_result(&path, &result_header(storage), &slices).unwrap();
 
         let info = ImageStack::open(&path).unwrap().info().clone();
-        assert_eq!(
-            (info.frames, info.channels, info.dialect),
-            (1, 3, Dialect::Ome)
-        );
+        assert_eq!((info.frames, info.channels, info.dialect), (1, 3, Dialect::Ome));
         assert_eq!(info.channel_names, ["RR", "TR & µ", "TT"]);
         let [x, y] = info.pixel_size_nm.unwrap();
         assert!((x - 54.166).abs() < 1e-9 && x == y);
@@ -99,9 +87,7 @@ fn stacks_come_back_with_their_frame_interval() {
         ..StackHeader::default()
     };
     let mut writer = StackWriter::create(&path, &header).unwrap();
-    let frames: Vec<Vec<u16>> = (0..4)
-        .map(|frame| (0..15).map(|x| frame * 1000 + x).collect())
-        .collect();
+    let frames: Vec<Vec<u16>> = (0..4).map(|frame| (0..15).map(|x| frame * 1000 + x).collect()).collect();
     for frame in &frames {
         writer.push(frame).unwrap();
     }
@@ -130,17 +116,13 @@ fn what_does_not_fit_is_refused() {
     assert!(StackWriter::create(&path, &StackHeader::default()).is_err());
     assert!(!path.exists());
     let nowhere = folder.path().join("none/x.tif");
-    let said = write_result(&nowhere, &header, &[&plane[..]; 3])
-        .unwrap_err()
-        .to_string();
+    let said = write_result(&nowhere, &header, &[&plane[..]; 3]).unwrap_err().to_string();
     assert!(said.contains("directory does not exist"), "{said}");
 }
 
 fn entries(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder).unwrap().flatten();
-    entries
-        .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .collect()
+    entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
 }
 
 #[test]
@@ -163,10 +145,7 @@ fn an_output_appears_whole_or_not_at_all() {
     assert!(target.join("sub/a").exists());
 
     std::fs::write(beside.file("b"), "2").unwrap();
-    assert!(matches!(
-        beside.commit().unwrap_err(),
-        FileError::OutputExists { .. }
-    ));
+    assert!(matches!(beside.commit().unwrap_err(), FileError::OutputExists { .. }));
     assert_eq!(entries(folder.path()), ["out"]);
 }
 

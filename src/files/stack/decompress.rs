@@ -41,10 +41,7 @@ struct LzwReader<R> {
 
 impl<R: BufRead> LzwReader<R> {
     fn new(packed: R) -> LzwReader<R> {
-        LzwReader {
-            packed,
-            decoder: weezl::decode::Decoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8),
-        }
+        LzwReader { packed, decoder: weezl::decode::Decoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8) }
     }
 }
 
@@ -58,9 +55,7 @@ impl<R: BufRead> Read for LzwReader<R> {
             let is_end = available.is_empty();
             let step = self.decoder.decode_bytes(available, bytes);
             self.packed.consume(step.consumed_in);
-            let status = step
-                .status
-                .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))?;
+            let status = step.status.map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))?;
             if step.consumed_out > 0 {
                 return Ok(step.consumed_out);
             }

@@ -64,25 +64,13 @@ impl<'file> Directories<'file> {
             43 if source.order.u16([header[4], header[5]]) == 8 => {
                 Ok((source.order.u64(array(&header[8..16])), true))
             }
-            43 => Err(source.damaged(
-                Place::Header,
-                "offset size",
-                "BigTIFF offsets must have 8 bytes",
-            )),
-            _ => Err(not_tiff(
-                source,
-                format!("its version number is {version}, not 42 or 43"),
-            )),
+            43 => Err(source.damaged(Place::Header, "offset size", "BigTIFF offsets must have 8 bytes")),
+            _ => Err(not_tiff(source, format!("its version number is {version}, not 42 or 43"))),
         }
     }
 
     pub(super) fn new(source: &'file Source, first: u64, is_big: bool) -> Directories<'file> {
-        Directories {
-            source,
-            is_big,
-            next: first,
-            visited: HashSet::new(),
-        }
+        Directories { source, is_big, next: first, visited: HashSet::new() }
     }
 
     /// The next directory, or `None` after the last.
@@ -93,12 +81,7 @@ impl<'file> Directories<'file> {
         let place = Place::Page(self.visited.len() + 1);
         if self.visited.len() >= MAX_PAGES {
             let detail = format!("the file has more than {MAX_PAGES} pages");
-            return Err(self.source.unsupported(
-                place,
-                "page list",
-                detail,
-                "Split it into several files",
-            ));
+            return Err(self.source.unsupported(place, "page list", detail, "Split it into several files"));
         }
         if !self.visited.insert(self.next) {
             let detail = "the list of pages runs in a circle";
@@ -111,8 +94,7 @@ impl<'file> Directories<'file> {
         let (count_size, field_size, next_size) = if self.is_big { (8, 20, 8) } else { (2, 12, 4) };
         let fetched = FIRST_FETCH.min(self.source.length.saturating_sub(self.next));
         let mut bytes = vec![0; fetched.max(count_size) as usize];
-        self.source
-            .read(&mut bytes, self.next, place, "page directory")?;
+        self.source.read(&mut bytes, self.next, place, "page directory")?;
         let order = self.source.order;
         let count = match self.is_big {
             true => order.u64(array(&bytes[..8])),
@@ -125,8 +107,7 @@ impl<'file> Directories<'file> {
         let size = (count_size + count * field_size + next_size) as usize;
         if size > bytes.len() {
             bytes.resize(size, 0);
-            self.source
-                .read(&mut bytes, self.next, place, "page directory")?;
+            self.source.read(&mut bytes, self.next, place, "page directory")?;
         }
         let fields_end = size - next_size as usize;
         let fields = bytes[count_size as usize..fields_end]
@@ -184,9 +165,7 @@ impl Directory {
 
     /// The quotient of a rational field, if it is there and finite.
     pub(super) fn ratio(&self, source: &Source, tag: u16, name: &'static str) -> Option<f64> {
-        let field = self
-            .field(tag)
-            .filter(|field| field.kind == 5 && field.count == 1)?;
+        let field = self.field(tag).filter(|field| field.kind == 5 && field.count == 1)?;
         let bytes = field.bytes(source, 8, self.place, name).ok()?;
         let over = f64::from(source.order.u32(array(bytes.get(..4)?)));
         let under = f64::from(source.order.u32(array(bytes.get(4..8)?)));
@@ -234,9 +213,7 @@ impl Field {
         }
         let bytes = self.bytes(source, u64::MAX, place, name)?;
         let numbers = bytes.chunks_exact(size as usize);
-        Ok(numbers
-            .map(|number| decode_number(source.order, number))
-            .collect())
+        Ok(numbers.map(|number| decode_number(source.order, number)).collect())
     }
 
     fn bytes(
@@ -261,12 +238,7 @@ impl Field {
         source.ensure_inside(offset, size, place, name)?;
         if size > limit {
             let detail = format!("it has {size} bytes, at most {limit} are read");
-            return Err(source.unsupported(
-                place,
-                name,
-                detail,
-                "Export the stack with shorter metadata",
-            ));
+            return Err(source.unsupported(place, name, detail, "Export the stack with shorter metadata"));
         }
         let mut bytes = vec![0; size as usize];
         source.read(&mut bytes, offset, place, name)?;
@@ -283,12 +255,7 @@ fn parse_field(order: ByteOrder, bytes: &[u8]) -> (u16, Field) {
     let mut inline = [0; 8];
     let value = &bytes[if is_big { 12 } else { 8 }..];
     inline[..value.len()].copy_from_slice(value);
-    let field = Field {
-        kind: order.u16([bytes[2], bytes[3]]),
-        count,
-        inline,
-        is_big,
-    };
+    let field = Field { kind: order.u16([bytes[2], bytes[3]]), count, inline, is_big };
     (order.u16([bytes[0], bytes[1]]), field)
 }
 
@@ -307,10 +274,7 @@ fn array<const N: usize>(bytes: &[u8]) -> [u8; N] {
 }
 
 fn not_tiff(source: &Source, found: String) -> FileError {
-    FileError::NotTiff {
-        path: source.path.clone(),
-        found,
-    }
+    FileError::NotTiff { path: source.path.clone(), found }
 }
 
 fn describe_magic(header: &[u8]) -> String {
@@ -322,10 +286,6 @@ fn describe_magic(header: &[u8]) -> String {
         [b'D', b'C', b'I', b'M', ..] => " (a Hamamatsu dcimg file)",
         _ => "",
     };
-    let shown: Vec<String> = header
-        .iter()
-        .take(4)
-        .map(|byte| format!("{byte:02x}"))
-        .collect();
+    let shown: Vec<String> = header.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
     format!("it begins with the bytes {}{known}", shown.join(" "))
 }

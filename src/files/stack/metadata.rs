@@ -53,12 +53,7 @@ pub(super) fn read(source: &Source, directory: &Directory) -> Result<Metadata, F
     if head.starts_with('<') && head.contains("<OME") {
         return ome::parse(text).map_err(|detail| source.damaged(directory.place, FIELD, detail));
     }
-    Ok(Metadata {
-        planes: shaped::planes(text),
-        channels: 1,
-        run: 1,
-        ..Metadata::default()
-    })
+    Ok(Metadata { planes: shaped::planes(text), channels: 1, run: 1, ..Metadata::default() })
 }
 
 /// Nanometers in one `unit` of length as microscopy software writes it.
@@ -90,7 +85,5 @@ fn seconds_per(unit: &str) -> Option<f64> {
 
 /// A duration of a positive, sensible number of seconds.
 fn duration(seconds: f64) -> Option<Duration> {
-    Duration::try_from_secs_f64(seconds)
-        .ok()
-        .filter(|duration| !duration.is_zero())
+    Duration::try_from_secs_f64(seconds).ok().filter(|duration| !duration.is_zero())
 }

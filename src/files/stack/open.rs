@@ -41,11 +41,7 @@ pub(super) fn open(path: &Path) -> Result<ImageStack, FileError> {
 }
 
 /// Reads all directories once; the pages are proved to be alike.
-fn walk(
-    source: &Source,
-    first: u64,
-    is_big: bool,
-) -> Result<(Vec<Page>, Geometry, Metadata), FileError> {
+fn walk(source: &Source, first: u64, is_big: bool) -> Result<(Vec<Page>, Geometry, Metadata), FileError> {
     let mut directories = Directories::new(source, first, is_big);
     let mut pages = Vec::new();
     let mut common: Option<(Geometry, Metadata)> = None;
@@ -79,12 +75,7 @@ fn ensure_alike(
     }
     let detail = format!("the page is {this}, the first is {first}");
     let remedy = "Save the pages of one size and type to a file of their own";
-    Err(source.unsupported(
-        directory.place,
-        "ImageWidth and ImageLength",
-        detail,
-        remedy,
-    ))
+    Err(source.unsupported(directory.place, "ImageWidth and ImageLength", detail, remedy))
 }
 
 /// ImageJ stacks may have one directory and all pixels after it: its way to write more than 4 GB; Python's writer can too.
@@ -107,10 +98,7 @@ fn contiguous(
     };
     let frame = geometry.frame_bytes() as u64;
     let held = (source.length - offset) / frame;
-    let pages = Pages::Contiguous {
-        first: *first,
-        offset,
-    };
+    let pages = Pages::Contiguous { first: *first, offset };
     Ok(Some((pages, promised.min(held))))
 }
 
@@ -141,9 +129,8 @@ fn channels(source: &Source, metadata: &Metadata, num_planes: u64) -> Result<u64
     if num_planes.is_multiple_of(channels) && (is_complete || is_cut_between_frames) {
         return Ok(channels);
     }
-    let detail = format!(
-        "it promises {promised} planes in {channels} channels, the file holds {num_planes} pages"
-    );
+    let detail =
+        format!("it promises {promised} planes in {channels} channels, the file holds {num_planes} pages");
     Err(source.damaged(Place::Page(1), DESCRIPTION, detail))
 }
 

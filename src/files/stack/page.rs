@@ -96,15 +96,9 @@ impl Page {
     }
 
     /// Positions of all strips or tiles, each proved to lie inside the file.
-    pub(super) fn chunks(
-        &self,
-        source: &Source,
-        geometry: Geometry,
-    ) -> Result<Vec<Chunk>, FileError> {
+    pub(super) fn chunks(&self, source: &Source, geometry: Geometry) -> Result<Vec<Chunk>, FileError> {
         let place = self.place;
-        let offsets = self
-            .offsets
-            .numbers(source, self.num_chunks, place, "StripOffsets")?;
+        let offsets = self.offsets.numbers(source, self.num_chunks, place, "StripOffsets")?;
         let counts = match self.byte_counts {
             Some(field) => field.numbers(source, self.num_chunks, place, "StripByteCounts")?,
             None => vec![geometry.frame_bytes() as u64; offsets.len()],
@@ -151,10 +145,7 @@ impl Page {
             _ => source.length.saturating_mul(MAX_SHRINKAGE),
         };
         if frame > capacity {
-            let detail = format!(
-                "{geometry} pixels need {frame} bytes, the file has {}",
-                source.length
-            );
+            let detail = format!("{geometry} pixels need {frame} bytes, the file has {}", source.length);
             return Err(source.damaged(self.place, "ImageWidth and ImageLength", detail));
         }
         if self.num_chunks == 1 {
@@ -166,9 +157,7 @@ impl Page {
 
 fn is_secondary(source: &Source, directory: &Directory) -> Result<bool, FileError> {
     const REDUCED_OR_MASK: u64 = 1 | 4;
-    let new = directory
-        .number(source, 254, "NewSubfileType")?
-        .unwrap_or(0);
+    let new = directory.number(source, 254, "NewSubfileType")?.unwrap_or(0);
     let old = directory.number(source, 255, "SubfileType")?.unwrap_or(1);
     Ok(new & REDUCED_OR_MASK != 0 || old == 2)
 }
@@ -177,9 +166,7 @@ fn is_secondary(source: &Source, directory: &Directory) -> Result<bool, FileErro
 fn ensure_gray(source: &Source, directory: &Directory) -> Result<(), FileError> {
     const NAME: &str = "PhotometricInterpretation";
     const REMEDY: &str = "Convert it to gray (Fiji: Image > Type) with black as zero";
-    let samples = directory
-        .number(source, 277, "SamplesPerPixel")?
-        .unwrap_or(1);
+    let samples = directory.number(source, 277, "SamplesPerPixel")?.unwrap_or(1);
     let found = match directory.number(source, 262, NAME)?.unwrap_or(1) {
         1 if samples == 1 => None,
         1 => Some(format!("{samples} samples per pixel instead of 1")),
@@ -228,21 +215,14 @@ fn parse_geometry(source: &Source, directory: &Directory) -> Result<Geometry, Fi
             return Err(source.unsupported(place, "BitsPerSample", detail, remedy));
         }
     };
-    let bytes = width
-        .saturating_mul(height)
-        .saturating_mul(sample.bytes() as u64);
+    let bytes = width.saturating_mul(height).saturating_mul(sample.bytes() as u64);
     if bytes > MAX_FRAME_BYTES {
-        let detail = format!(
-            "{height} x {width} pixels need {bytes} bytes, at most {MAX_FRAME_BYTES} are read"
-        );
+        let detail =
+            format!("{height} x {width} pixels need {bytes} bytes, at most {MAX_FRAME_BYTES} are read");
         let remedy = "Crop the stack, or copy the file again if that size is wrong";
         return Err(source.unsupported(place, "ImageWidth and ImageLength", detail, remedy));
     }
-    Ok(Geometry {
-        height: height as usize,
-        width: width as usize,
-        sample,
-    })
+    Ok(Geometry { height: height as usize, width: width as usize, sample })
 }
 
 fn parse_compression(source: &Source, directory: &Directory) -> Result<Compression, FileError> {
@@ -276,21 +256,13 @@ fn parse_predictor(
     let code = directory.number(source, 317, "Predictor")?.unwrap_or(1);
     match (code, compression, sample) {
         (1, _, _) => Ok(Predictor::None),
-        (2, Compression::Lzw | Compression::Deflate | Compression::Zstd, _) => {
-            Ok(Predictor::Horizontal)
-        }
+        (2, Compression::Lzw | Compression::Deflate | Compression::Zstd, _) => Ok(Predictor::Horizontal),
         (3, Compression::Lzw | Compression::Deflate | Compression::Zstd, SampleType::Float32) => {
             Ok(Predictor::FloatingPoint)
         }
         _ => {
-            let detail =
-                format!("predictor {code} does not go with this compression and sample type");
-            Err(source.unsupported(
-                directory.place,
-                "Predictor",
-                detail,
-                "Save it again without predictor",
-            ))
+            let detail = format!("predictor {code} does not go with this compression and sample type");
+            Err(source.unsupported(directory.place, "Predictor", detail, "Save it again without predictor"))
         }
     }
 }
@@ -316,12 +288,7 @@ fn parse_layout(
         .saturating_mul(geometry.width.div_ceil(chunk_width) as u64);
     if num_chunks > MAX_CHUNKS {
         let detail = format!("{num_chunks} strips or tiles in one page");
-        return Err(source.unsupported(
-            place,
-            "RowsPerStrip",
-            detail,
-            "Save it with larger strips",
-        ));
+        return Err(source.unsupported(place, "RowsPerStrip", detail, "Save it with larger strips"));
     }
     let byte_counts = directory.field(counts_tag);
     if byte_counts.is_none() && (compression != Compression::None || num_chunks != 1) {
@@ -340,14 +307,8 @@ fn parse_layout(
     })
 }
 
-fn rows_per_strip(
-    source: &Source,
-    directory: &Directory,
-    geometry: Geometry,
-) -> Result<usize, FileError> {
-    let rows = directory
-        .number(source, 278, "RowsPerStrip")?
-        .unwrap_or(u64::MAX);
+fn rows_per_strip(source: &Source, directory: &Directory, geometry: Geometry) -> Result<usize, FileError> {
+    let rows = directory.number(source, 278, "RowsPerStrip")?.unwrap_or(u64::MAX);
     match rows.min(geometry.height as u64) {
         0 => Err(source.damaged(directory.place, "RowsPerStrip", "it is zero")),
         rows => Ok(rows as usize),
@@ -361,9 +322,7 @@ fn tile_size(
 ) -> Result<(usize, usize), FileError> {
     let width = required(source, directory, 322, "TileWidth")?;
     let height = required(source, directory, 323, "TileLength")?;
-    let bytes = width
-        .saturating_mul(height)
-        .saturating_mul(geometry.sample.bytes() as u64);
+    let bytes = width.saturating_mul(height).saturating_mul(geometry.sample.bytes() as u64);
     if bytes == 0 || bytes > MAX_FRAME_BYTES {
         let detail = format!("tiles of {height} x {width} pixels");
         return Err(source.damaged(directory.place, "TileWidth and TileLength", detail));
@@ -371,12 +330,7 @@ fn tile_size(
     Ok((height as usize, width as usize))
 }
 
-fn required(
-    source: &Source,
-    directory: &Directory,
-    tag: u16,
-    name: &'static str,
-) -> Result<u64, FileError> {
+fn required(source: &Source, directory: &Directory, tag: u16, name: &'static str) -> Result<u64, FileError> {
     match directory.number(source, tag, name)? {
         Some(number) => Ok(number),
         None => Err(source.damaged(directory.place, name, "the field is missing")),

@@ -56,9 +56,7 @@ pub(super) fn read_plain(
 
 /// Where the frame starts when it lies in the file in one piece.
 pub(super) fn contiguous_start(page: &Page, chunks: &[Chunk]) -> Option<u64> {
-    let is_seamless = chunks
-        .windows(2)
-        .all(|pair| pair[0].offset + pair[0].bytes == pair[1].offset);
+    let is_seamless = chunks.windows(2).all(|pair| pair[0].offset + pair[0].bytes == pair[1].offset);
     let is_plain = page.compression == Compression::None && !page.is_tiled;
     (is_plain && is_seamless).then(|| chunks[0].offset)
 }
@@ -103,16 +101,8 @@ fn make_native(bytes: &mut [u8], sample: SampleType, source: &Source) {
     }
     match sample {
         SampleType::Uint8 => {}
-        SampleType::Uint16 => bytes
-            .as_chunks_mut::<2>()
-            .0
-            .iter_mut()
-            .for_each(|number| number.reverse()),
-        SampleType::Float32 => bytes
-            .as_chunks_mut::<4>()
-            .0
-            .iter_mut()
-            .for_each(|number| number.reverse()),
+        SampleType::Uint16 => bytes.as_chunks_mut::<2>().0.iter_mut().for_each(|number| number.reverse()),
+        SampleType::Float32 => bytes.as_chunks_mut::<4>().0.iter_mut().for_each(|number| number.reverse()),
     }
 }
 
@@ -121,14 +111,10 @@ fn undo_horizontal(row: &mut [u8], sample: SampleType) {
     match sample {
         SampleType::Uint8 => accumulate::<1>(row, |sum, step| [sum[0].wrapping_add(step[0])]),
         SampleType::Uint16 => accumulate::<2>(row, |sum, step| {
-            u16::from_ne_bytes(sum)
-                .wrapping_add(u16::from_ne_bytes(step))
-                .to_ne_bytes()
+            u16::from_ne_bytes(sum).wrapping_add(u16::from_ne_bytes(step)).to_ne_bytes()
         }),
         SampleType::Float32 => accumulate::<4>(row, |sum, step| {
-            u32::from_ne_bytes(sum)
-                .wrapping_add(u32::from_ne_bytes(step))
-                .to_ne_bytes()
+            u32::from_ne_bytes(sum).wrapping_add(u32::from_ne_bytes(step)).to_ne_bytes()
         }),
     }
 }
@@ -148,12 +134,7 @@ fn undo_floating_point(row: &mut [u8], target: &mut [u8]) {
     let width = row.len() / 4;
     let (numbers, _) = target.as_chunks_mut::<4>();
     for (x, number) in numbers.iter_mut().enumerate() {
-        let bits = [
-            row[x],
-            row[width + x],
-            row[2 * width + x],
-            row[3 * width + x],
-        ];
+        let bits = [row[x], row[width + x], row[2 * width + x], row[3 * width + x]];
         *number = u32::from_be_bytes(bits).to_ne_bytes();
     }
 }

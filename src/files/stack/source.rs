@@ -57,25 +57,15 @@ pub(super) struct Source {
 impl Source {
     /// Opens a regular file; pipes and devices are refused without being opened.
     pub(super) fn open(path: &Path) -> Result<Source, FileError> {
-        let metadata =
-            fs::metadata(path).map_err(|source| FileError::from_io(path, "open", source))?;
+        let metadata = fs::metadata(path).map_err(|source| FileError::from_io(path, "open", source))?;
         if !metadata.is_file() {
             return Err(FileError::NotAFile {
                 path: path.to_path_buf(),
-                found: if metadata.is_dir() {
-                    "a directory"
-                } else {
-                    "a device or pipe"
-                },
+                found: if metadata.is_dir() { "a directory" } else { "a device or pipe" },
             });
         }
         let file = File::open(path).map_err(|source| FileError::from_io(path, "open", source))?;
-        Ok(Source {
-            file,
-            path: path.to_path_buf(),
-            length: metadata.len(),
-            order: ByteOrder::Little,
-        })
+        Ok(Source { file, path: path.to_path_buf(), length: metadata.len(), order: ByteOrder::Little })
     }
 
     /// Fills `bytes` from position `offset`.
@@ -115,25 +105,11 @@ impl Source {
 
     /// A reader over `count` bytes from position `offset`; ends there, or with the file.
     pub(super) fn section(&self, offset: u64, count: u64) -> Section<'_> {
-        Section {
-            file: &self.file,
-            offset,
-            left: count,
-        }
+        Section { file: &self.file, offset, left: count }
     }
 
-    pub(super) fn damaged(
-        &self,
-        place: Place,
-        field: &'static str,
-        detail: impl Into<String>,
-    ) -> FileError {
-        FileError::Damaged {
-            path: self.path.clone(),
-            place,
-            field,
-            detail: detail.into(),
-        }
+    pub(super) fn damaged(&self, place: Place, field: &'static str, detail: impl Into<String>) -> FileError {
+        FileError::Damaged { path: self.path.clone(), place, field, detail: detail.into() }
     }
 
     pub(super) fn unsupported(
@@ -143,13 +119,7 @@ impl Source {
         detail: impl Into<String>,
         remedy: &'static str,
     ) -> FileError {
-        FileError::Unsupported {
-            path: self.path.clone(),
-            place,
-            field,
-            detail: detail.into(),
-            remedy,
-        }
+        FileError::Unsupported { path: self.path.clone(), place, field, detail: detail.into(), remedy }
     }
 }
 

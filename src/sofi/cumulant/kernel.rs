@@ -38,10 +38,10 @@ impl Count for f32 {
 pub(super) type Planes<'a, T> = Vec<&'a [T]>;
 
 /// The most numbers that a tile may hold, so that it stays in the second-level cache.
-const TILE_NUMBERS: usize = 96 * 1024;
+const TILE_NUMBERS: usize = 224 * 1024;
 
 /// Columns of a tile.
-const TILE_COLUMNS: usize = 256;
+const TILE_COLUMNS: usize = 2048;
 
 thread_local! {
     static TILE: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };

@@ -20,20 +20,13 @@ struct Axes {
 
 pub(super) fn parse(text: &str) -> Result<Metadata, String> {
     let mut reader = Reader::from_str(text);
-    let mut metadata = Metadata {
-        dialect: Dialect::Ome,
-        channels: 1,
-        run: 1,
-        ..Metadata::default()
-    };
+    let mut metadata = Metadata { dialect: Dialect::Ome, channels: 1, run: 1, ..Metadata::default() };
     let mut axes: Option<Axes> = None;
     let mut num_pixels = 0;
     let mut unusual: Option<String> = None;
     let mut file_names = BTreeSet::new();
     loop {
-        let event = reader
-            .read_event()
-            .map_err(|error| format!("the OME-XML cannot be read ({error})"))?;
+        let event = reader.read_event().map_err(|error| format!("the OME-XML cannot be read ({error})"))?;
         let (Event::Start(element) | Event::Empty(element)) = event else {
             if matches!(event, Event::Eof) {
                 // In a set of files, page numbers of several files follow one another.
@@ -53,9 +46,7 @@ pub(super) fn parse(text: &str) -> Result<Metadata, String> {
                 }
             }
             "Channel" if num_pixels == 1 => {
-                metadata
-                    .channel_names
-                    .push(attributes.text("Name").unwrap_or_default().to_owned());
+                metadata.channel_names.push(attributes.text("Name").unwrap_or_default().to_owned());
             }
             "TiffData" if num_pixels == 1 => {
                 let usual = axes.map_or(Ok(()), |axes| ensure_usual_order(&attributes, axes));
@@ -69,15 +60,9 @@ pub(super) fn parse(text: &str) -> Result<Metadata, String> {
     }
 }
 
-fn finish(
-    mut metadata: Metadata,
-    axes: Option<Axes>,
-    num_pixels: usize,
-) -> Result<Metadata, String> {
+fn finish(mut metadata: Metadata, axes: Option<Axes>, num_pixels: usize) -> Result<Metadata, String> {
     if num_pixels > 1 {
-        return Err(format!(
-            "the OME-XML lists {num_pixels} images where one is read"
-        ));
+        return Err(format!("the OME-XML lists {num_pixels} images where one is read"));
     }
     let Some(axes) = axes else {
         return Ok(metadata);
@@ -113,9 +98,7 @@ fn read_pixels(attributes: &Attributes, metadata: &mut Metadata) -> Result<Axes,
         _ => None,
     };
     let interval_unit = seconds_per(attributes.text("TimeIncrementUnit").unwrap_or("s"));
-    let interval = attributes
-        .text("TimeIncrement")
-        .and_then(|text| text.parse::<f64>().ok());
+    let interval = attributes.text("TimeIncrement").and_then(|text| text.parse::<f64>().ok());
     metadata.frame_interval = match (interval, interval_unit) {
         (Some(interval), Some(unit)) => duration(interval * unit),
         _ => None,
@@ -124,24 +107,15 @@ fn read_pixels(attributes: &Attributes, metadata: &mut Metadata) -> Result<Axes,
 }
 
 fn length_nm(attributes: &Attributes, axis: char) -> Option<f64> {
-    let size: f64 = attributes
-        .text(&format!("PhysicalSize{axis}"))?
-        .parse()
-        .ok()?;
-    let unit = attributes
-        .text(&format!("PhysicalSize{axis}Unit"))
-        .unwrap_or("µm");
+    let size: f64 = attributes.text(&format!("PhysicalSize{axis}"))?.parse().ok()?;
+    let unit = attributes.text(&format!("PhysicalSize{axis}Unit")).unwrap_or("µm");
     let size_nm = size * nanometers_per(unit)?;
     (size_nm.is_finite() && size_nm > 0.0).then_some(size_nm)
 }
 
 /// Refuses files whose pages do not follow `DimensionOrder`: a wrong pair of frames is worse than none.
 fn ensure_usual_order(attributes: &Attributes, axes: Axes) -> Result<(), String> {
-    let number = |name: &str| {
-        attributes
-            .text(name)
-            .and_then(|text| text.parse::<u64>().ok())
-    };
+    let number = |name: &str| attributes.text(name).and_then(|text| text.parse::<u64>().ok());
     let Some(page) = number("IFD") else {
         return Ok(());
     };
@@ -173,15 +147,11 @@ impl Attributes {
 fn attributes(element: &BytesStart<'_>) -> Result<Attributes, String> {
     let mut found = Vec::new();
     for attribute in element.attributes() {
-        let attribute =
-            attribute.map_err(|error| format!("the OME-XML cannot be read ({error})"))?;
+        let attribute = attribute.map_err(|error| format!("the OME-XML cannot be read ({error})"))?;
         let value = attribute
             .normalized_value(XmlVersion::Implicit1_0)
             .map_err(|error| format!("the OME-XML cannot be read ({error})"))?;
-        found.push((
-            attribute.key.local_name().as_ref().to_owned(),
-            value.into_owned(),
-        ));
+        found.push((attribute.key.local_name().as_ref().to_owned(), value.into_owned()));
     }
     Ok(Attributes(found))
 }
@@ -198,25 +168,17 @@ mod tests {
             r#"{HEAD}<Pixels DimensionOrder="XYTCZ" SizeC="2" SizeT="5" SizeZ="1" PhysicalSizeX="0.108" PhysicalSizeXUnit="&#181;m" PhysicalSizeY="108" PhysicalSizeYUnit="nm" TimeIncrement="20" TimeIncrementUnit="ms"><Channel Name="a &amp; b"/><Channel/><TiffData IFD="5" FirstC="1"/></Pixels></Image></OME>"#
         );
         let metadata = parse(&text).unwrap();
-        assert_eq!(
-            (metadata.planes, metadata.channels, metadata.run),
-            (Some(10), 2, 5)
-        );
+        assert_eq!((metadata.planes, metadata.channels, metadata.run), (Some(10), 2, 5));
         assert_eq!(metadata.channel_names, ["a & b", ""]);
         let [x, y] = metadata.pixel_size_nm.unwrap();
         assert!((x - 108.0).abs() < 1e-9 && y == 108.0);
-        assert_eq!(
-            metadata.frame_interval,
-            Some(std::time::Duration::from_millis(20))
-        );
+        assert_eq!(metadata.frame_interval, Some(std::time::Duration::from_millis(20)));
     }
 
     #[test]
     fn sets_of_several_files_may_count_their_pages_anew() {
         let plane = |channel: usize, file: &str| {
-            format!(
-                r#"<TiffData FirstC="{channel}" IFD="0"><UUID FileName="{file}">u</UUID></TiffData>"#
-            )
+            format!(r#"<TiffData FirstC="{channel}" IFD="0"><UUID FileName="{file}">u</UUID></TiffData>"#)
         };
         let pixels = |last: &str| {
             let planes = plane(0, "r.tif") + &plane(1, last);

@@ -11,9 +11,7 @@ pub(super) fn planes(text: &str) -> Option<u64> {
     }
     let shape = description.get("shape")?.as_array()?;
     let outer = shape.get(..shape.len().checked_sub(2)?)?;
-    outer
-        .iter()
-        .try_fold(1_u64, |total, size| total.checked_mul(size.as_u64()?))
+    outer.iter().try_fold(1_u64, |total, size| total.checked_mul(size.as_u64()?))
 }
 
 #[cfg(test)]
@@ -22,15 +20,9 @@ mod tests {
 
     #[test]
     fn only_truncated_files_promise_more_planes() {
-        assert_eq!(
-            planes(r#"{"shape": [2, 5, 3, 4], "truncated": true}"#),
-            Some(10)
-        );
+        assert_eq!(planes(r#"{"shape": [2, 5, 3, 4], "truncated": true}"#), Some(10));
         assert_eq!(planes(r#"{"shape": [5, 3, 4]}"#), None);
-        assert_eq!(
-            planes(r#"{"shape": [1e99, 5, 3, 4], "truncated": true}"#),
-            None
-        );
+        assert_eq!(planes(r#"{"shape": [1e99, 5, 3, 4], "truncated": true}"#), None);
         assert_eq!(planes("Recorded on Monday"), None);
     }
 }

@@ -1,0 +1,28 @@
+//! Arguments of the program and of its commands.
+
+use super::AppError;
+use clap::{Parser, Subcommand};
+
+/// Live multicolor super-resolution imaging (SOFI) with two cameras.
+#[derive(Debug, Parser)]
+#[command(version, arg_required_else_help = true)]
+pub struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Measure pairs per second beside this machine's memory bandwidth
+    Bench(super::bench::BenchArguments),
+}
+
+/// Runs the command that the arguments name.
+///
+/// # Errors
+/// [`AppError`] with the message and exit code of whatever ended the command early.
+pub fn run(arguments: Arguments) -> Result<(), AppError> {
+    match arguments.command {
+        Command::Bench(arguments) => super::bench::run(&arguments),
+    }
+}

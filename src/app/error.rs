@@ -1,0 +1,43 @@
+//! Why a command ended without its result, and the exit code that scripts see.
+
+use crate::files::FileError;
+
+/// A failed command: what, where, and what to do next.
+#[derive(Debug, thiserror::Error)]
+pub enum AppError {
+    /// Wrong arguments or configuration (exit code 2).
+    #[error("{0}")]
+    Usage(String),
+    /// A device failed (exit code 3).
+    #[error("{0}")]
+    Device(String),
+    /// Data that cannot be analyzed (exit code 4).
+    #[error("{0}")]
+    Data(String),
+    /// A file could not be read or written (exit code 2 or 4).
+    #[error(transparent)]
+    File(#[from] FileError),
+}
+
+impl AppError {
+    /// 2 usage or configuration, 3 device, 4 data.
+    #[must_use]
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Usage(_) => 2,
+            Self::Device(_) => 3,
+            Self::Data(_) => 4,
+            Self::File(error) => error.kind().exit_code(),
+        }
+    }
+
+    /// A usage error from anything that explains itself.
+    pub fn usage(reason: impl std::fmt::Display) -> Self {
+        Self::Usage(reason.to_string())
+    }
+
+    /// A data error from anything that explains itself.
+    pub fn data(reason: impl std::fmt::Display) -> Self {
+        Self::Data(reason.to_string())
+    }
+}

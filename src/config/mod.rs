@@ -1,0 +1,1 @@
+//! Settings as typed become settings that can be believed.
