@@ -107,7 +107,7 @@ mod tests {
         for _ in 0..n {
             seen[(draw(mean, &mut rng) as usize).min(11)] += 1;
         }
-        let mut probability = (-mean as f64).exp();
+        let mut probability = f64::exp(-mean);
         for (k, &count) in seen.iter().take(8).enumerate() {
             let expected = probability * f64::from(n);
             assert!(
