@@ -8,7 +8,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use crate::blinking::{Kinetics, Switching};
 use crate::geometry::{Line, between as distance};
 use crate::random::{Stream, between, uniform};
-use crate::scene::{PatchGrid, Scene, Shape};
+use crate::scene::{PatchGrid, Scene, Shape, cells};
 
 /// One fluorophore or bead.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -141,6 +141,15 @@ fn on_shape(shape: &Shape, count: u64, rng: &mut Xoshiro256PlusPlus) -> Vec<[f64
     {
         return apart(*from_px, *to_px, *minimum_distance_px, count, rng);
     }
+    if let Shape::Drawing {
+        from_px,
+        cell_px,
+        rows,
+        ..
+    } = shape
+    {
+        return in_drawing(*from_px, *cell_px, rows, count, rng);
+    }
     let axis = shape.axis();
     let length = axis.as_ref().map_or(0.0, Line::length);
     (0..count)
@@ -190,6 +199,31 @@ fn around(center_px: [f64; 2], radius_px: f64, rng: &mut Xoshiro256PlusPlus) -> 
         center_px[0] + radius_px * libm::sin(angle),
         center_px[1] + radius_px * libm::cos(angle),
     ]
+}
+
+/// Positions in the cells of a drawing, each as often as its weight says.
+fn in_drawing(
+    from_px: [f64; 2],
+    cell_px: f64,
+    rows: &[String],
+    count: u64,
+    rng: &mut Xoshiro256PlusPlus,
+) -> Vec<[f64; 2]> {
+    let mut total = 0.0;
+    let ends: Vec<(f64, [f64; 2])> = cells(rows)
+        .map(|(row, column, ninths)| {
+            total += ninths;
+            (total, [row as f64, column as f64])
+        })
+        .collect();
+    (0..count)
+        .map(|_| {
+            let chosen = uniform(rng) * total;
+            let index = ends.partition_point(|(end, _)| *end <= chosen);
+            let cell = ends[index.min(ends.len() - 1)].1;
+            [0, 1].map(|axis| from_px[axis] + cell_px * (cell[axis] + uniform(rng)))
+        })
+        .collect()
 }
 
 /// Positions in a rectangle, no two of them closer than a distance.

@@ -185,7 +185,7 @@ impl Truth {
     /// Distance in camera pixels of the point `(y, x)` of camera R from the nearest place of a species:
     /// from the axis of filaments, curves and rings; from the edge of areas and patches, 0 inside.
     ///
-    /// Infinite for a species that is not there. For many points, [`Self::outline`] is faster.
+    /// Infinite for a species that is not there.
     #[must_use]
     pub fn distance_px(&self, species: usize, y: f64, x: f64) -> f64 {
         self.outline(species).distance([y, x])

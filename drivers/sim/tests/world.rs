@@ -1,5 +1,7 @@
 //! The simulated measurement against what its scene asks for.
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use sofiscope_hal::{Channel, ExposureIndex};
 use sofiscope_sim::{Scene, Truth, TruthError, World, WorldError};
 
@@ -367,4 +369,29 @@ fn distance_is_measured_from_the_axis() {
     assert_eq!(truth.distance_px(0, 27.0, 20.0), 3.0);
     assert_eq!(truth.distance_px(0, 27.0, 38.0), 5.0);
     assert_eq!(truth.distance_px(7, 27.0, 38.0), f64::INFINITY);
+}
+
+#[test]
+fn a_drawing_is_filled_as_it_says() {
+    let drawing = "[[species.drawing]]\nfrom_px = [10.0, 10.0]\ncell_px = 6.0\nrows = [\"9.3\", \"...\"]\ndensity_per_um2 = 10000.0\n";
+    let text = scene_text(1, 0.0, "", "steady = true");
+    let text = format!(
+        "{}{drawing}",
+        text.split_once("[[species.filament]]").unwrap().0
+    );
+    let truth = world(&text, 8).truth();
+    let positions = &truth.species[0].positions_px;
+    // Four thirds of a cell of 36 px of (0.108 um)^2.
+    assert_eq!(positions.len(), 5599);
+    assert!(
+        positions
+            .iter()
+            .all(|&[y, x]| truth.distance_px(0, y, x) == 0.0)
+    );
+    let left = positions.iter().filter(|[_, x]| *x < 16.0).count() as f64;
+    let error = (0.25 * 0.75 * 5599.0_f64).sqrt();
+    assert!((left - 0.75 * 5599.0).abs() < 4.0 * error, "{left}");
+    assert_eq!(truth.distance_px(0, 19.0, 12.0), 3.0);
+    let empty = text.replace("9.3", "...");
+    assert!(Scene::from_toml(&empty).is_err());
 }

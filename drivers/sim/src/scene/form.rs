@@ -297,6 +297,26 @@ impl<'t> Form<'t> {
         Vec::new()
     }
 
+    /// A list of texts, or a fault.
+    pub(crate) fn texts(&self, key: &'static str, limits: RangeInclusive<usize>) -> Vec<String> {
+        let wanted = format!("a list of {} to {} texts", limits.start(), limits.end());
+        let Some(value) = self.find(key) else {
+            self.missing(key, &wanted);
+            return Vec::new();
+        };
+        let items = value.get_ref().as_array();
+        let texts: Vec<String> = items
+            .into_iter()
+            .flatten()
+            .filter_map(|item| item.get_ref().as_str().map(str::to_owned))
+            .collect();
+        let complete = items.is_some_and(|items| items.len() == texts.len());
+        if !complete || !limits.contains(&texts.len()) {
+            self.fault(key, "is no such list", format!("give {wanted}"));
+        }
+        texts
+    }
+
     /// The table at a key if it is there.
     pub(crate) fn table(&self, key: &'static str) -> Option<Self> {
         let value = self.find(key)?;

@@ -7,6 +7,7 @@
 //! Photon numbers are photons that *reach* the cameras; the quantum efficiency of a camera defaults to 1,
 //! so unless a scene sets it they are *detected* photons, as in the paper.
 
+mod drawing;
 mod fault;
 mod form;
 mod parts;
@@ -17,6 +18,7 @@ mod tests;
 
 use toml::de::DeTable;
 
+pub(crate) use drawing::cells;
 pub use fault::{Fault, SceneError};
 use form::{Faults, Form};
 pub use parts::{CameraModel, Mirror, Optics, PatchGrid, Photophysics, Species, View};
@@ -336,7 +338,7 @@ fn read_species(
             species_form.fault(
                 "filament",
                 "is missing, and so is every other shape",
-                "add `[[species.filament]]`, curve, ring, disc, blob or random, or a `[patch_grid]`",
+                "add `[[species.filament]]`, curve, ring, disc, blob, drawing or random, or a `[patch_grid]`",
             );
         }
         if all.iter().any(|other| other.name == species.name) {

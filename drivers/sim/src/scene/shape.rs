@@ -5,13 +5,14 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::drawing::{distance_in_cells, full_cells, read_drawing};
 use super::form::Form;
 use crate::geometry::{Line, between};
 
 /// Coordinates of scene files lie within these limits.
 pub(super) const COORDINATE_PX: std::ops::RangeInclusive<f64> = -20_000.0..=20_000.0;
 const WIDTH_PX: std::ops::RangeInclusive<f64> = 0.0..=1000.0;
-const DENSITY_PER_UM2: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
+pub(super) const DENSITY_PER_UM2: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 
 /// One place with emitters of one species; coordinates `[y, x]` in pixels of camera R.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -77,6 +78,17 @@ pub enum Shape {
         /// No two emitters are closer than this.
         minimum_distance_px: f64,
     },
+    /// A small image: each character is a square cell, a digit its density in ninths.
+    Drawing {
+        /// Corner of the first cell, the least coordinates of the drawing.
+        from_px: [f64; 2],
+        /// Side of a cell.
+        cell_px: f64,
+        /// Rows of digits, dots and spaces.
+        rows: Vec<String>,
+        /// Emitters per square micrometer in a cell of 9.
+        density_per_um2: f64,
+    },
 }
 
 impl Shape {
@@ -112,6 +124,12 @@ impl Shape {
                 std::f64::consts::PI * radius_px * radius_px,
                 *density_per_um2,
             ),
+            Self::Drawing {
+                cell_px,
+                rows,
+                density_per_um2,
+                ..
+            } => by_density(full_cells(rows) * cell_px * cell_px, *density_per_um2),
             Self::Blob { emitters, .. } | Self::Random { emitters, .. } => return *emitters,
         };
         number as u64
@@ -127,7 +145,9 @@ impl Shape {
                 radius_px,
                 ..
             } => Some(Line::ellipse(*center_px, *radius_px)),
-            Self::Disc { .. } | Self::Blob { .. } | Self::Random { .. } => None,
+            Self::Disc { .. } | Self::Blob { .. } | Self::Random { .. } | Self::Drawing { .. } => {
+                None
+            }
         }
     }
 
@@ -152,6 +172,15 @@ impl Shape {
                 };
                 beyond(0).hypot(beyond(1))
             }
+            Self::Drawing {
+                from_px,
+                cell_px,
+                rows,
+                ..
+            } => {
+                let place = [0, 1].map(|axis| (point[axis] - from_px[axis]) / cell_px);
+                distance_in_cells(rows, place) * cell_px
+            }
             Self::Filament { .. } | Self::Curve { .. } | Self::Ring { .. } => f64::INFINITY,
         }
     }
@@ -162,12 +191,13 @@ type Reader = fn(&Form<'_>) -> Shape;
 
 /// Reads all shapes of one species.
 pub(super) fn read_shapes(species: &Form<'_>, field: [[f64; 2]; 2]) -> Vec<Shape> {
-    let readers: [(&'static str, Reader); 5] = [
+    let readers: [(&'static str, Reader); 6] = [
         ("filament", read_filament),
         ("curve", read_curve),
         ("ring", read_ring),
         ("disc", read_disc),
         ("blob", read_blob),
+        ("drawing", read_drawing),
     ];
     let mut shapes = Vec::new();
     for (key, read) in readers {
