@@ -104,7 +104,10 @@ pub fn crosstalk_percent(truth: &Truth, images: &[Plane<'_>]) -> Result<Vec<Vec<
 
 fn relative_percent(above: &[f64], own: usize, name: &str) -> Result<Vec<f64>, ScoreError> {
     if above[own] > 0.0 {
-        Ok(above.iter().map(|mean| 100.0 * mean / above[own]).collect())
+        Ok(above
+            .iter()
+            .map(|mean| 100.0 * (mean / above[own]))
+            .collect())
     } else {
         Err(ScoreError::NoSignal(name.into()))
     }
