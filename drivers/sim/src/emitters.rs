@@ -255,3 +255,120 @@ fn apart(
     }
     positions
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn positions(shape: &Shape) -> Vec<[f64; 2]> {
+        on_shape(shape, 4000, &mut Stream::Patches.generator(17))
+    }
+
+    /// Mean and variance agree with a uniform law between two limits within 4 standard errors.
+    fn assert_uniform(values: &[f64], from: f64, to: f64) {
+        let (n, width) = (values.len() as f64, to - from);
+        assert!(
+            values
+                .iter()
+                .all(|value| (from - 1e-9..=to + 1e-9).contains(value))
+        );
+        let mean = values.iter().sum::<f64>() / n;
+        let variance = values
+            .iter()
+            .map(|value| (value - mean).powi(2))
+            .sum::<f64>()
+            / n;
+        assert!(
+            (mean - (from + to) / 2.0).abs() < 4.0 * width / (12.0 * n).sqrt(),
+            "{mean}"
+        );
+        // The fourth central moment of a uniform law is width^4 / 80.
+        let error = width.powi(2) * ((1.0 / 80.0 - 1.0 / 144.0) / n).sqrt();
+        assert!(
+            (variance - width.powi(2) / 12.0).abs() < 4.0 * error,
+            "{variance}"
+        );
+    }
+
+    #[test]
+    fn bands_are_filled_evenly_along_and_across() {
+        let shape = Shape::Filament {
+            from_px: [10.0, 5.0],
+            to_px: [10.0, 53.0],
+            width_px: 0.4,
+            density_per_um2: 1.0,
+        };
+        let positions = positions(&shape);
+        assert_uniform(
+            &positions.iter().map(|p| p[0]).collect::<Vec<_>>(),
+            9.8,
+            10.2,
+        );
+        assert_uniform(
+            &positions.iter().map(|p| p[1]).collect::<Vec<_>>(),
+            5.0,
+            53.0,
+        );
+        let ring = Shape::Ring {
+            center_px: [30.0, 30.0],
+            radius_px: [20.0, 20.0],
+            width_px: 2.0,
+            density_per_um2: 1.0,
+        };
+        let radii: Vec<f64> = self::positions(&ring)
+            .iter()
+            .map(|&p| distance(p, [30.0, 30.0]))
+            .collect();
+        // The ellipse has 256 straight sides, so radii fall short by up to 0.0015 px.
+        assert_uniform(&radii, 18.9985, 21.001);
+    }
+
+    #[test]
+    fn discs_are_filled_evenly_and_clouds_are_round_gaussians() {
+        let center_px = [20.0, 40.0];
+        let disc = Shape::Disc {
+            center_px,
+            radius_px: 7.0,
+            density_per_um2: 1.0,
+        };
+        let squares: Vec<f64> = positions(&disc)
+            .iter()
+            .map(|&p| distance(p, center_px).powi(2))
+            .collect();
+        assert_uniform(&squares, 0.0, 49.0);
+        let blob = Shape::Blob {
+            center_px,
+            sigma_px: 3.0,
+            emitters: 1,
+        };
+        let cloud = positions(&blob);
+        for axis in [0, 1] {
+            let offsets = cloud.iter().map(|p| p[axis] - center_px[axis]);
+            let n = cloud.len() as f64;
+            let (sum, squares) =
+                offsets.fold((0.0, 0.0), |(sum, squares), d| (sum + d, squares + d * d));
+            assert!((sum / n).abs() < 4.0 * 3.0 / n.sqrt());
+            assert!((squares / n - 9.0).abs() < 4.0 * 9.0 * (2.0 / n).sqrt());
+        }
+    }
+
+    #[test]
+    fn beads_keep_their_distance() {
+        let beads = apart(
+            [0.0, 0.0],
+            [100.0, 60.0],
+            6.0,
+            80,
+            &mut Stream::Patches.generator(3),
+        );
+        assert_eq!(beads.len(), 80);
+        for (number, &bead) in beads.iter().enumerate() {
+            assert!(
+                beads[..number]
+                    .iter()
+                    .all(|&other| distance(bead, other) >= 6.0)
+            );
+            assert!((0.0..100.0).contains(&bead[0]) && (0.0..60.0).contains(&bead[1]));
+        }
+    }
+}
