@@ -1,0 +1,125 @@
+//! A camera: photons in, counts out.
+//!
+//! In: expected photons per pixel and a random stream. Out: counts, 16 bit.
+//! Never: keeps anything between frames. Fails: never; counts end at 0 and at saturation.
+//! Paper, Materials and methods: Simulations: Poisson noise, quantum efficiency, gain, Gaussian noise.
+
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+use crate::poisson::{self, FixedMean};
+use crate::scene::CameraModel;
+
+/// Turns the photons of one camera into counts.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Digitizer {
+    model: CameraModel,
+    /// Most pixels see nothing but background; their law is prepared once.
+    background_photons: f32,
+    background: FixedMean,
+}
+
+impl Digitizer {
+    pub(crate) fn new(model: CameraModel, background_photons: f32) -> Self {
+        let background = FixedMean::new(mean_electrons(&model, background_photons));
+        Self {
+            model,
+            background_photons,
+            background,
+        }
+    }
+
+    /// Draws one frame.
+    pub(crate) fn draw(&self, photons: &[f32], rng: &mut Xoshiro256PlusPlus, counts: &mut [u16]) {
+        let saturation = f64::from(self.model.saturation_counts);
+        for (count, &photons) in counts.iter_mut().zip(photons) {
+            let electrons = if photons.to_bits() == self.background_photons.to_bits() {
+                self.background.draw(rng)
+            } else {
+                poisson::draw(mean_electrons(&self.model, photons), rng)
+            };
+            let noise: f64 = rng.sample(StandardNormal);
+            let signal = electrons + self.model.read_noise_electrons * noise;
+            let value = self.model.offset_counts + self.model.gain_counts_per_electron * signal;
+            *count = (value.clamp(0.0, saturation) + 0.5) as u16;
+        }
+    }
+}
+
+fn mean_electrons(model: &CameraModel, photons: f32) -> f64 {
+    model.quantum_efficiency * f64::from(photons) + model.dark_electrons_per_exposure
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Stream;
+
+    fn frame(model: CameraModel, photons: f32, n: usize) -> Vec<u16> {
+        let mut counts = vec![0; n];
+        let mut rng = Stream::Patches.generator(21);
+        Digitizer::new(model, 2.5).draw(&vec![photons; n], &mut rng, &mut counts);
+        counts
+    }
+
+    fn mean_and_variance(counts: &[u16]) -> (f64, f64) {
+        let n = counts.len() as f64;
+        let mean = counts.iter().map(|&c| f64::from(c)).sum::<f64>() / n;
+        (
+            mean,
+            counts
+                .iter()
+                .map(|&c| (f64::from(c) - mean).powi(2))
+                .sum::<f64>()
+                / n,
+        )
+    }
+
+    #[test]
+    fn variance_against_mean_gives_gain_and_read_noise() {
+        let model = CameraModel {
+            quantum_efficiency: 0.7,
+            gain_counts_per_electron: 2.2,
+            offset_counts: 100.0,
+            read_noise_electrons: 1.4,
+            dark_electrons_per_exposure: 0.3,
+            ..CameraModel::default()
+        };
+        let n = 100_000;
+        for photons in [2.5_f32, 7.0, 90.0, 1500.0] {
+            let (mean, variance) = mean_and_variance(&frame(model, photons, n));
+            let electrons = 0.7 * f64::from(photons) + 0.3;
+            // Rounding to whole counts adds 1/12.
+            let expected = 2.2 * 2.2 * (electrons + 1.4 * 1.4) + 1.0 / 12.0;
+            let error = (expected / n as f64).sqrt();
+            assert!(
+                (mean - 100.0 - 2.2 * electrons).abs() < 4.0 * error,
+                "{photons}: {mean}"
+            );
+            let error = expected * (2.0 / n as f64).sqrt() * (1.0 + 1.0 / electrons);
+            assert!(
+                (variance - expected).abs() < 4.0 * error,
+                "{photons}: {variance}"
+            );
+        }
+    }
+
+    #[test]
+    fn counts_end_at_zero_and_at_saturation() {
+        let model = CameraModel {
+            saturation_counts: 4095,
+            ..CameraModel::default()
+        };
+        assert!(frame(model, 1e5, 50).iter().all(|&count| count == 4095));
+        let full = CameraModel::default();
+        assert!(frame(full, 1e6, 50).iter().all(|&count| count == u16::MAX));
+        let noisy = CameraModel {
+            offset_counts: 0.0,
+            read_noise_electrons: 5.0,
+            ..CameraModel::default()
+        };
+        let counts = frame(noisy, 0.0, 1000);
+        assert!(counts.iter().filter(|&&count| count == 0).count() > 400);
+    }
+}
