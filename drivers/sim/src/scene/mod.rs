@@ -30,6 +30,8 @@ const MAX_TEXT_BYTES: usize = 1 << 20;
 pub(crate) const MAX_EMITTERS: u64 = 1_000_000;
 /// A scene whose emitters shine in more exposures in all is refused; each takes 8 bytes.
 const MAX_LIT_EXPOSURES: f64 = 1.5e8;
+/// A scene whose spots need more profile values on one camera is refused; each takes 4 bytes.
+const MAX_PROFILE_VALUES: f64 = 1.5e8;
 const MAX_FRAMES: u64 = 1_000_000;
 const MAX_SIDE_PX: u64 = 4096;
 const MIN_SIDE_PX: u64 = 8;
@@ -225,8 +227,24 @@ impl Scene {
         if emitters > MAX_EMITTERS {
             return Some(format!("gives {emitters} emitters, above {MAX_EMITTERS}"));
         }
+        // A row and a column profile, each ten standard deviations long.
+        let values = emitters as f64 * (20.0 * self.widest_sigma_px() + 2.0);
+        if values > MAX_PROFILE_VALUES {
+            return Some(format!(
+                "gives {emitters} emitters with spots too wide to keep in memory"
+            ));
+        }
         (lit > MAX_LIT_EXPOSURES)
             .then(|| format!("lets emitters shine in {lit:.1e} exposures, above 1.5e8"))
+    }
+
+    /// Standard deviation of the widest spot on either camera.
+    fn widest_sigma_px(&self) -> f64 {
+        let sigmas = self
+            .species
+            .iter()
+            .map(|species| species.sigma_px(&self.optics));
+        sigmas.fold(0.0, f64::max) * self.view.scale.max(1.0)
     }
 
     /// Mean number of exposures in which an emitter shines at all.
@@ -368,19 +386,14 @@ fn read_species(
 
 /// Checks that need the whole scene.
 fn check_species(form: &Form<'_>, scene: &Scene) {
-    for species in &scene.species {
-        let sigma_px = species.sigma_px(&scene.optics) * scene.view.scale.max(1.0);
-        if sigma_px > MAX_SIGMA_PX {
-            let message = format!(
-                "gives a spot of {sigma_px:.1} px standard deviation for {}",
-                species.name
-            );
-            form.fault(
-                "optics",
-                message,
-                "give a larger pitch or aperture, at most 20 px",
-            );
-        }
+    let sigma_px = scene.widest_sigma_px();
+    if sigma_px > MAX_SIGMA_PX {
+        let message = format!("gives spots of {sigma_px:.1} px standard deviation");
+        form.fault(
+            "optics",
+            message,
+            "give a larger pitch or aperture, for 20 px at most",
+        );
     }
     if let Some(message) = scene.excess() {
         form.fault(

@@ -189,6 +189,10 @@ fn texts_that_are_no_scene_are_faults() {
     ] {
         assert!(!faults(text).is_empty(), "{text}");
     }
+    let deep = format!("a = {}", "[".repeat(200_000));
+    assert!(!faults(&deep).is_empty());
+    let dotted = format!("{}a = 1", "a.".repeat(200_000));
+    assert!(!faults(&dotted).is_empty());
     let long = format!("# {}", "x".repeat(MAX_TEXT_BYTES));
     assert_eq!(faults(&long).len(), 1);
 }
