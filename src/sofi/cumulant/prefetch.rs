@@ -1,5 +1,8 @@
 //! A hint to the processor to bring a line of memory closer before it is needed.
-#![expect(unsafe_code, reason = "the prefetch instruction has no safe form; it can neither fault nor change a value")]
+#![expect(
+    unsafe_code,
+    reason = "the prefetch instruction has no safe form; it can neither fault nor change a value"
+)]
 
 /// Bytes that one hint brings.
 pub(super) const LINE_BYTES: usize = 64;
