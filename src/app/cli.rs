@@ -15,6 +15,8 @@ pub struct Arguments {
 enum Command {
     /// Measure pairs per second beside this machine's memory bandwidth
     Bench(super::bench::BenchArguments),
+    /// Write the frames of both cameras looking at a simulated scene, and the ground truth
+    Simulate(super::simulate::SimulateArguments),
 }
 
 /// Runs the command that the arguments name.
@@ -24,5 +26,6 @@ enum Command {
 pub fn run(arguments: Arguments) -> Result<(), AppError> {
     match arguments.command {
         Command::Bench(arguments) => super::bench::run(&arguments),
+        Command::Simulate(arguments) => super::simulate::run(&arguments),
     }
 }

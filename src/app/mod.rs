@@ -7,6 +7,9 @@ pub mod bench;
 mod cli;
 mod error;
 mod progress;
+pub mod simulate;
+mod text_file;
 
 pub use cli::{Arguments, run};
 pub use error::AppError;
+pub use progress::Progress;
