@@ -15,6 +15,8 @@ pub struct Arguments {
 enum Command {
     /// Turn two stacks of frames, or one, into the unmixed super-resolved image
     Analyze(Box<super::analyze::AnalyzeArguments>),
+    /// Play the simulated microscope through the whole analysis and score it against the truth
+    Demo(super::demo::DemoArguments),
     /// Measure pairs per second beside this machine's memory bandwidth
     Bench(super::bench::BenchArguments),
     /// Write the frames of both cameras looking at a simulated scene, and the ground truth
@@ -28,6 +30,7 @@ enum Command {
 pub fn run(arguments: Arguments) -> Result<(), AppError> {
     match arguments.command {
         Command::Analyze(arguments) => super::analyze::run(&arguments),
+        Command::Demo(arguments) => super::demo::run(&arguments),
         Command::Bench(arguments) => super::bench::run(&arguments),
         Command::Simulate(arguments) => super::simulate::run(&arguments),
     }

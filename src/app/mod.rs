@@ -7,6 +7,7 @@ mod analysis;
 mod analyze;
 pub mod bench;
 mod cli;
+mod demo;
 mod error;
 mod progress;
 mod results;

@@ -239,7 +239,7 @@ fn pictures(analysis: &Analysis) -> Result<Vec<Picture>, AppError> {
         legend: legend(&cameras, &default_colors(cameras.len())),
         scale: None,
     });
-    let kappa_unit = format!("counts^{n}");
+    let kappa_unit = format!("counts{}", superscript(n));
     for (image, name) in analysis.drawing.cumulants.iter().zip(spectral_names(analysis)) {
         pictures.push(panel(Step::Cumulants, name, image, Colormap::Morgenstemning, &kappa_unit, fine)?);
     }
@@ -303,4 +303,9 @@ fn panel(
         legend: Vec::new(),
         scale: Some(ColorScale { map, limits, unit: unit.to_owned() }),
     })
+}
+
+/// The power of a unit as it is printed.
+fn superscript(n: usize) -> char {
+    ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶'].get(n).copied().unwrap_or('ⁿ')
 }

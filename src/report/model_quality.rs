@@ -83,7 +83,7 @@ pub struct BleachingCurve {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CurveUnit {
-    /// Camera counts above the offset.
+    /// Camera counts, offset included.
     #[default]
     Counts,
     /// Photons.

@@ -12,7 +12,7 @@ use super::text::{escape, number};
 
 /// The steps with the words of the paper's Figure 2.
 const STEPS: [(Step, &str, &str); 5] = [
-    (Step::Cameras, "Cameras", "Time average of reflection (R) and transmission (T), T registered onto R."),
+    (Step::Cameras, "Cameras", "Time average of reflection (R) and transmission (T)."),
     (
         Step::Cumulants,
         "Spectral cumulants",
@@ -104,7 +104,7 @@ fn bleaching_plot(curve: &BleachingCurve, exposure_ms: Option<f64>) -> LinePlot 
         None => (Axis::new("exposure", "number"), 1.0),
     };
     let unit = match curve.unit {
-        CurveUnit::Counts => "counts above offset",
+        CurveUnit::Counts => "counts",
         CurveUnit::Photons => "photons",
     };
     let series = |label: &str, values: &[f64]| Series {
