@@ -4,9 +4,11 @@
 //! Never: computes an image itself. Fails: [`AppError`], one or two sentences and an exit code.
 
 pub mod bench;
+pub mod check;
 mod cli;
 mod error;
 mod progress;
+pub mod score;
 pub mod simulate;
 mod text_file;
 
