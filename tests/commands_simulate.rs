@@ -238,7 +238,8 @@ fn score_finds_the_crosstalk_that_was_put_in_whatever_the_order() {
                 assert!((found - f64::from(expected)).abs() < 1e-3, "{stage} {row} {column}: {found}");
             }
         }
-        assert_eq!(score_found["resolution_nm"][stage].as_array().unwrap().len(), 3);
+        let no_peak = serde_json::json!([null, null, null]);
+        assert_eq!(score_found["resolution_nm"][stage], no_peak, "these images have plateaus");
         assert!(score_found["snr"][stage][0].is_null(), "this background has no spread");
     }
     assert_eq!(score_found["paper"]["crosstalk_percent"][0], serde_json::json!([100.0, 5.0, 1.0]));

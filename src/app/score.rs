@@ -18,6 +18,9 @@ use crate::config::Catalogue;
 pub use read::{ScoreArguments, run, score_result};
 pub use tables::text;
 
+/// Peaks are fitted up to 4 camera pixels beside a filament; a wider one is no peak but the slope of something else.
+const WIDEST_PX: f64 = 8.0;
+
 /// A stage of the analysis whose images are scored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
@@ -155,8 +158,8 @@ pub struct Score {
     pub crosstalk_percent: ByStage<Matrix>,
     /// The largest entry beside the diagonal, by magnitude.
     pub worst_crosstalk_percent: ByStage<f64>,
-    /// Full width at half maximum of the filaments of each species, nanometers.
-    pub resolution_nm: ByStage<Vec<f64>>,
+    /// Full width at half maximum of the filaments of each species, nanometers; `None` where no peak was found.
+    pub resolution_nm: ByStage<Vec<Option<f64>>>,
     /// Signal above background over the spread of the background, of each species in its own image;
     /// `None` for a background without any spread.
     pub snr: ByStage<Vec<Option<f64>>>,
@@ -232,7 +235,11 @@ fn score_structures(truth: &Truth, stage: Stage, planes: &[Plane<'_>], score: &m
         Err(error) => score.notes.push(format!("no crosstalk of the {name} images: {error}")),
     }
     match resolution_nm(truth, planes) {
-        Ok(widths) => score.resolution_nm.set(stage, widths),
+        Ok(widths) => {
+            let widest_nm = WIDEST_PX * truth.pixel_pitch_nm;
+            let peak = |width: f64| (width <= widest_nm).then_some(width);
+            score.resolution_nm.set(stage, widths.into_iter().map(peak).collect());
+        }
         Err(error) => score.notes.push(format!("no resolution of the {name} images: {error}")),
     }
     match signal_to_noise(truth, planes) {

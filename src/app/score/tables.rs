@@ -119,13 +119,11 @@ fn per_species(score: &Score) -> Vec<String> {
     };
     let widths = Stage::ALL.into_iter().filter_map(|stage| {
         let widths = score.resolution_nm.get(stage)?;
-        Some(row(stage, widths.iter().map(|width| format!("{width:.0}")).collect()))
+        Some(row(stage, widths.iter().map(|width| or_words(width, 0, "no peak")).collect()))
     });
     let ratios = Stage::ALL.into_iter().filter_map(|stage| {
         let ratios = score.snr.get(stage)?;
-        let cell =
-            |ratio: &Option<f64>| ratio.map_or_else(|| "no noise".to_owned(), |ratio| format!("{ratio:.1}"));
-        Some(row(stage, ratios.iter().map(cell).collect()))
+        Some(row(stage, ratios.iter().map(|ratio| or_words(ratio, 1, "no noise")).collect()))
     });
     let mut lines = titled(
         "Resolution: full width at half maximum of the filaments, nanometers",
@@ -138,6 +136,10 @@ fn per_species(score: &Score) -> Vec<String> {
         ratios.collect(),
     ));
     lines
+}
+
+fn or_words(value: &Option<f64>, decimals: usize, words: &str) -> String {
+    value.map_or_else(|| words.to_owned(), |value| format!("{value:.decimals$}"))
 }
 
 /// A table with an empty line and its title above; nothing without rows.
