@@ -21,6 +21,10 @@ enum Command {
     Bench(super::bench::BenchArguments),
     /// Write the frames of both cameras looking at a simulated scene, and the ground truth
     Simulate(super::simulate::SimulateArguments),
+    /// Compare the images of an analysis with the ground truth of their simulation
+    Score(super::score::ScoreArguments),
+    /// List all faults of a scene, fluorophores or dichroics file
+    Check(super::check::CheckArguments),
 }
 
 /// Runs the command that the arguments name.
@@ -33,5 +37,7 @@ pub fn run(arguments: Arguments) -> Result<(), AppError> {
         Command::Demo(arguments) => super::demo::run(&arguments),
         Command::Bench(arguments) => super::bench::run(&arguments),
         Command::Simulate(arguments) => super::simulate::run(&arguments),
+        Command::Score(arguments) => super::score::run(&arguments),
+        Command::Check(arguments) => super::check::run(&arguments),
     }
 }

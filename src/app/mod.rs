@@ -6,11 +6,13 @@
 mod analysis;
 mod analyze;
 pub mod bench;
+pub mod check;
 mod cli;
 mod demo;
 mod error;
 mod progress;
 mod results;
+pub mod score;
 pub mod simulate;
 mod summary;
 mod text_file;

@@ -37,11 +37,11 @@ pub(super) fn read_text(path: &Path, max_bytes: u64) -> Result<String, AppError>
 }
 
 /// Opens regular files only, as reading a pipe or a device might never end.
-fn open_file(path: &Path) -> Result<File, FileError> {
+fn open_file(path: &Path) -> Result<File, AppError> {
     let metadata = std::fs::metadata(path).map_err(|source| FileError::from_io(path, "look up", source))?;
     if !metadata.is_file() {
         let found = if metadata.is_dir() { "a directory" } else { "a pipe or device" };
-        return Err(FileError::NotAFile { path: path.to_path_buf(), found });
+        return Err(AppError::usage(format!("{} is {found}, not a file. Name a text file.", path.display())));
     }
-    File::open(path).map_err(|source| FileError::from_io(path, "read", source))
+    Ok(File::open(path).map_err(|source| FileError::from_io(path, "read", source))?)
 }

@@ -224,14 +224,6 @@ impl Catalogue {
         faults.into_list()
     }
 
-    /// The faults of the text of a `dichroics.toml` beside the fluorophores of this catalogue.
-    #[must_use]
-    pub fn faults_of_dichroics(&self, text: &str) -> Vec<Fault> {
-        let faults = Faults::new(text);
-        checked::dichroics(raw::dichroics(text, &faults), &self.fluorophores, &faults);
-        faults.into_list()
-    }
-
     /// The text of the built-in `fluorophores.toml`, to start an own one from.
     #[must_use]
     pub fn fluorophores_toml() -> &'static str {

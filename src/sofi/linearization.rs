@@ -495,8 +495,8 @@ mod tests {
     fn nothing_gives_nothing() {
         let settings = LinearizationSettings::gaussian(1.0).unwrap();
         let run = |image: Array2<f32>| linearize(&image, 2, &settings).unwrap();
-        assert_eq!(run(Array2::zeros((7, 9))), Array2::zeros((7, 9)));
-        assert_eq!(run(Array2::from_elem((3, 3), -2.0)), Array2::zeros((3, 3)));
+        assert_eq!(run(Array2::zeros((7, 9))), Array2::<f32>::zeros((7, 9)));
+        assert_eq!(run(Array2::from_elem((3, 3), -2.0)), Array2::<f32>::zeros((3, 3)));
         assert!(run(Array2::from_elem((3, 3), f32::NAN)).iter().all(|v| v.is_nan()));
         assert_eq!(run(Array2::zeros((0, 4))).dim(), (0, 4));
         assert_eq!(run(Array2::zeros((4, 0))).dim(), (4, 0));
