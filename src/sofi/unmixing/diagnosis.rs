@@ -12,7 +12,10 @@ use super::{MAX_CONDITION, UnmixingError};
 /// Two unit columns closer than this count as one and the same spectrum.
 const PARALLEL: f64 = 1e-4;
 
-pub(super) fn checked_singular_values(matrix: &DMatrix<f64>, names: &[String]) -> Result<Vec<f64>, UnmixingError> {
+pub(super) fn checked_singular_values(
+    matrix: &DMatrix<f64>,
+    names: &[String],
+) -> Result<Vec<f64>, UnmixingError> {
     let svd = SingularValues::of(matrix);
     let condition = condition(&svd.values);
     // Not "greater than": the condition of a singular matrix may be NaN.
