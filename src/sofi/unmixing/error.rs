@@ -49,7 +49,7 @@ pub enum UnmixingError {
         /// Number of species in the proportions.
         columns: usize,
     },
-    /// Condition number above [`MAX_CONDITION`].
+    /// Condition number above [`MAX_CONDITION`](super::MAX_CONDITION).
     #[error("cannot be told apart: {} (condition number {condition:.3e})", describe(groups))]
     Indistinguishable {
         /// Each group holds the names of species that look alike to these channels.

@@ -180,7 +180,7 @@ impl UnmixingMatrix {
     ///
     /// # Errors
     /// [`UnmixingError::Method`]: wrong number of weights, weights not positive, negative strength,
-    /// or more than [`MAX_NON_NEGATIVE_SPECIES`] species for the non-negative method.
+    /// or more than [`MAX_NON_NEGATIVE_SPECIES`](super::MAX_NON_NEGATIVE_SPECIES) species for the non-negative method.
     pub fn unmixer(&self, method: &UnmixingMethod) -> Result<Unmixer, UnmixingError> {
         let solver = match method {
             UnmixingMethod::PseudoInverse => Solver::Linear(self.pseudo_inverse.clone()),
