@@ -108,7 +108,9 @@ impl Prepared {
             FeedError::Push(error) => AppError::data(error),
         })?;
         let drawing = engine.draw(&AllCores, Incomplete::AtLeastHalf).ok_or_else(|| {
-            AppError::Data("no subsequence has half of its exposures; choose a shorter --subsequence".to_owned())
+            AppError::Data(
+                "no subsequence has half of its exposures; choose a shorter --subsequence".to_owned(),
+            )
         })?;
         let mut steps = vec![("cumulants".to_owned(), begun.elapsed().as_secs_f64())];
         self.check_fluctuations(&drawing)?;
@@ -288,7 +290,9 @@ fn subsequence_warnings(engine: &CumulantSettings, feed: &Feed, drawing: &Drawin
     let excluded: u64 = feed.closed.iter().filter(|run| !run.used).map(|run| run.samples).sum();
     let rest = feed.exposures % engine.subsequence;
     if excluded > 0 {
-        warnings.push(format!("{excluded} frames are in subsequences with too many lost exposures and do not count."));
+        warnings.push(format!(
+            "{excluded} frames are in subsequences with too many lost exposures and do not count."
+        ));
     }
     if rest > 0 && drawing.incomplete_samples > 0 {
         warnings.push(format!(

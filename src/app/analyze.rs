@@ -115,8 +115,9 @@ fn settings(arguments: &AnalyzeArguments) -> Result<AnalysisSettings, AppError> 
 
 fn read_settings(path: &Path) -> Result<RawAnalysis, AppError> {
     let name = path.display();
-    let text = std::fs::read_to_string(path)
-        .map_err(|error| AppError::Usage(format!("{name}: the settings cannot be read ({error}); check the path")))?;
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        AppError::Usage(format!("{name}: the settings cannot be read ({error}); check the path"))
+    })?;
     RawAnalysis::from_toml(&text).map_err(|faults| AppError::Usage(format!("{name}: {faults}")))
 }
 
@@ -184,7 +185,9 @@ fn source(stacks: &[ImageStack]) -> Result<Source, AppError> {
         frames: first.frames as u64,
         pixel_pitch_nm: first.pixel_size_nm.map(|[x, _]| x),
         exposure_ms: first.frame_interval.map(|interval| interval.as_secs_f64() * 1e3),
-        simulated: stacks.iter().all(|stack| stack.info().channel_names.iter().any(|n| n.contains("simulated"))),
+        simulated: stacks
+            .iter()
+            .all(|stack| stack.info().channel_names.iter().any(|n| n.contains("simulated"))),
         species: None,
     })
 }

@@ -8,7 +8,7 @@ use crate::config::{AnalysisSettings, RawAnalysis};
 use crate::files::OutputDirectory;
 use crate::reconstruction::BLOCK;
 use crate::report::{Crosstalk, CrosstalkReference, Resolution, ResolutionValue};
-use crate::sofi::spectra::{SpectralResponse, Species};
+use crate::sofi::spectra::{Species, SpectralResponse};
 use serde::Serialize;
 use sofiscope_sim::{Scene, World};
 use std::collections::BTreeMap;

@@ -93,7 +93,8 @@ pub(super) fn write_results(
 
 /// Bytes of all images, with room for pictures and report.
 fn needed_bytes(analysis: &Analysis) -> u64 {
-    let stages = analysis.stages.iter().flat_map(|s| s.unmixed.iter().chain(&s.flattened).chain(&s.linearized));
+    let stages =
+        analysis.stages.iter().flat_map(|s| s.unmixed.iter().chain(&s.flattened).chain(&s.linearized));
     let drawing = &analysis.drawing;
     let images = drawing.means.iter().chain(&drawing.variances).chain(&drawing.cumulants).chain(stages);
     images.map(|image| (image.len() * size_of::<f32>()) as u64).sum::<u64>() + (32 << 20)
@@ -250,7 +251,8 @@ fn pictures(analysis: &Analysis) -> Result<Vec<Picture>, AppError> {
             (Step::Linearized, &stages.linearized, "counts"),
         ] {
             for (index, (image, name)) in images.iter().zip(&species).enumerate() {
-                let map = if species.len() == 1 { Colormap::Morgenstemning } else { Colormap::of_species(index) };
+                let map =
+                    if species.len() == 1 { Colormap::Morgenstemning } else { Colormap::of_species(index) };
                 pictures.push(panel(step, name.clone(), image, map, unit, fine)?);
             }
         }

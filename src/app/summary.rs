@@ -1,7 +1,7 @@
 //! An analysis as the report's data.
 
 use super::analysis::Analysis;
-use super::results::{Scores, spectral_names, species_names, title};
+use super::results::{Scores, species_names, spectral_names, title};
 use crate::display::default_colors;
 use crate::report::{
     AnalysisReport, BleachingCurve, CurveUnit, FORMAT_VERSION, FlatteningNotes, FrameAccount, FrameCount,
@@ -11,12 +11,7 @@ use crate::sofi::flattening::FlatteningReport;
 use crate::sofi::grid::Combinations;
 
 /// Fills the report of an analysis.
-pub(super) fn report(
-    analysis: &Analysis,
-    command: &str,
-    files: &[String],
-    scores: Scores,
-) -> AnalysisReport {
+pub(super) fn report(analysis: &Analysis, command: &str, files: &[String], scores: Scores) -> AnalysisReport {
     let mut warnings = analysis.warnings.clone();
     warnings.extend(flattening_warnings(analysis));
     AnalysisReport {
@@ -36,7 +31,10 @@ pub(super) fn report(
         crosstalk: scores.crosstalk,
         resolution: scores.resolution,
         timing: Some(timing(analysis)),
-        outputs: files.iter().map(|file| OutputFile { path: file.clone(), content: content_of(file) }).collect(),
+        outputs: files
+            .iter()
+            .map(|file| OutputFile { path: file.clone(), content: content_of(file) })
+            .collect(),
         ..AnalysisReport::default()
     }
 }
@@ -83,7 +81,10 @@ fn settings(analysis: &Analysis) -> Settings {
         unmixing: if chosen.non_negative { "non-negative" } else { "pseudo-inverse" }.to_owned(),
         flattening: if chosen.distance_factor { "distance factor" } else { "equal means" }.to_owned(),
         linearization_iterations: Some(chosen.iterations as u32),
-        psf: analysis.widths.first().map(|(sigma_px, source)| PsfUsed { sigma_px: *sigma_px, source: source.clone() }),
+        psf: analysis
+            .widths
+            .first()
+            .map(|(sigma_px, source)| PsfUsed { sigma_px: *sigma_px, source: source.clone() }),
         camera_pixel_pitch_nm: Some(prepared.pixel_pitch_nm),
         exposure_ms: prepared.source.exposure_ms,
         other: widths
@@ -133,7 +134,8 @@ fn species(analysis: &Analysis) -> Vec<Species> {
     let gains = analysis.prepared.matrix.as_ref().map(crate::sofi::unmixing::UnmixingMatrix::noise_gain);
     let colors = default_colors(analysis.prepared.species.len());
     let notes = analysis.stages.iter().flat_map(|stages| &stages.flattening);
-    let mut notes: Vec<Option<FlatteningNotes>> = notes.map(|report| Some(flattening_notes(report))).collect();
+    let mut notes: Vec<Option<FlatteningNotes>> =
+        notes.map(|report| Some(flattening_notes(report))).collect();
     notes.resize(analysis.prepared.species.len(), None);
     let one = |((index, species), flattening): ((usize, &crate::sofi::spectra::Species), _)| Species {
         name: species.name.clone(),

@@ -91,7 +91,8 @@ impl RawAnalysis {
     /// # Errors
     /// One fault, with line and key, for text that is not such a file.
     pub fn from_toml(text: &str) -> Result<Self, AnalysisFaults> {
-        toml::from_str(text).map_err(|error| AnalysisFaults { faults: vec![error.to_string().trim().to_owned()] })
+        toml::from_str(text)
+            .map_err(|error| AnalysisFaults { faults: vec![error.to_string().trim().to_owned()] })
     }
 
     /// These settings where they are given, those of `other` where not.
@@ -127,9 +128,12 @@ impl TryFrom<RawAnalysis> for AnalysisSettings {
             faults.push(format!("order {order} is not available; choose an order from 2 to 6"));
         }
         if let Some(short) = raw.subsequence_exposures.filter(|&length| length < 2) {
-            faults.push(format!("a subsequence of {short} exposures is too short; take at least 2, in practice 100 to 500"));
+            faults.push(format!(
+                "a subsequence of {short} exposures is too short; take at least 2, in practice 100 to 500"
+            ));
         }
-        let combinations = choose(&mut faults, "combinations", raw.combinations.as_deref(), &Combinations::NAMES);
+        let combinations =
+            choose(&mut faults, "combinations", raw.combinations.as_deref(), &Combinations::NAMES);
         let unmixing = [("pseudo-inverse", false), ("non-negative", true)];
         let flattening = [("equal-means", false), ("distance-factor", true)];
         for (key, value) in [
@@ -187,7 +191,8 @@ mod tests {
 
     #[test]
     fn all_faults_are_listed_at_once() {
-        let raw = RawAnalysis::from_toml("order = 9\nsubsequence_exposures = 1\nflattening = \"flat\"").unwrap();
+        let raw =
+            RawAnalysis::from_toml("order = 9\nsubsequence_exposures = 1\nflattening = \"flat\"").unwrap();
         assert_eq!(AnalysisSettings::try_from(raw).unwrap_err().faults.len(), 3);
     }
 
