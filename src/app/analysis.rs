@@ -12,7 +12,7 @@ use crate::sofi::grid::VirtualPixelGrid;
 use crate::sofi::linearization::{Acceleration, LinearizationSettings, Reconvolution};
 use crate::sofi::psf::Psf;
 use crate::sofi::spectra::Species;
-use crate::sofi::unmixing::{UnmixingMatrix, UnmixingMethod};
+use crate::sofi::unmixing::{UnmixingError, UnmixingMatrix, UnmixingMethod};
 use ndarray::array;
 use std::time::Instant;
 
@@ -78,6 +78,9 @@ impl Prepared {
         let mut warnings = Vec::new();
         let engine = engine_settings(&settings, &source)?;
         let grid = engine.checked_grid().map_err(AppError::usage)?;
+        if let Some(sigma_px) = settings.psf_sigma_px {
+            Psf::gaussian(sigma_px).map_err(|error| AppError::Usage(format!("psf_sigma_px: {error}")))?;
+        }
         let species = species(&settings, &source, &mut warnings)?;
         let matrix = mixing(&settings, &source, &species)?;
         let pixel_pitch_nm = settings.pixel_pitch_nm.or(source.pixel_pitch_nm).unwrap_or_else(|| {
@@ -96,8 +99,9 @@ impl Prepared {
         read: impl FnMut(u64, &mut [Vec<T>]) -> Result<usize, AppError> + Send,
     ) -> Result<Analysis, AppError> {
         let Source { height, width, frames, .. } = self.source;
-        let mut engine =
-            CumulantEngine::<T>::new(self.engine.clone(), height, width).map_err(AppError::data)?;
+        let mut engine = CumulantEngine::<T>::new(self.engine.clone(), height, width).map_err(|error| {
+            AppError::Data(format!("{}: {error}; export a larger region", self.source.inputs[0].1))
+        })?;
         let begun = Instant::now();
         let mut progress = Progress::begin("cumulants", frames);
         let trace_every = frames.div_ceil(TRACE_POINTS);
@@ -280,8 +284,26 @@ fn mixing(
             "{several} species cannot be told apart with one camera; give the transmission stack as well, \
              or name one species"
         ))),
-        _ => UnmixingMatrix::new(settings.order, species).map(Some).map_err(AppError::usage),
+        _ => UnmixingMatrix::new(settings.order, species)
+            .map(Some)
+            .map_err(|error| inseparable(&error, settings.dichroic.as_deref())),
     }
+}
+
+/// The error of the unmixing with what can be done about it.
+fn inseparable(error: &UnmixingError, dichroic: Option<&str>) -> AppError {
+    AppError::Usage(match error {
+        UnmixingError::TooManySpecies { species, spectral_channels } => format!(
+            "{species} species cannot be told apart by {spectral_channels} spectral channels; \
+             choose --order {} or name at most {spectral_channels}",
+            species - 1
+        ),
+        UnmixingError::Indistinguishable { .. } => {
+            let behind = dichroic.map_or(String::new(), |name| format!(" behind {name}"));
+            format!("{error}{behind}; name only one of them or use another dichroic")
+        }
+        other => other.to_string(),
+    })
 }
 
 /// What the reader must know about subsequences that were left out or counted in part.

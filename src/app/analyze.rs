@@ -2,8 +2,9 @@
 
 use super::AppError;
 use super::analysis::{Prepared, Source};
-use super::results::write_results;
-use crate::config::{AnalysisSettings, RawAnalysis};
+use super::results::{ensure_space, write_results};
+use super::text_file::read_text;
+use crate::config::{AnalysisFaults, AnalysisSettings, RawAnalysis};
 use crate::files::{ImageStack, OutputDirectory, SampleType};
 use crate::reconstruction::BLOCK;
 use crate::sofi::cumulant::Count;
@@ -11,6 +12,9 @@ use std::path::{Path, PathBuf};
 
 /// Share of saturated pixel values above which the report warns.
 const SATURATED_SHARE: f64 = 1e-4;
+
+/// Longest settings file that is read.
+const MOST_SETTINGS_BYTES: u64 = 64 << 10;
 
 /// Arguments of `analyze`.
 #[derive(Debug, clap::Args)]
@@ -74,6 +78,7 @@ pub(super) fn run(arguments: &AnalyzeArguments) -> Result<(), AppError> {
     let mut stacks = open(arguments)?;
     let prepared = Prepared::new(settings, source(&stacks)?)?;
     let out = OutputDirectory::create(&arguments.out)?;
+    ensure_space(&prepared, &out)?;
     let float = stacks.iter().any(|stack| stack.info().sample == SampleType::Float32);
     let limit = prepared.settings.saturation_counts;
     let analysis = if float {
@@ -114,11 +119,11 @@ fn settings(arguments: &AnalyzeArguments) -> Result<AnalysisSettings, AppError> 
 }
 
 fn read_settings(path: &Path) -> Result<RawAnalysis, AppError> {
-    let name = path.display();
-    let text = std::fs::read_to_string(path).map_err(|error| {
-        AppError::Usage(format!("{name}: the settings cannot be read ({error}); check the path"))
-    })?;
-    RawAnalysis::from_toml(&text).map_err(|faults| AppError::Usage(format!("{name}: {faults}")))
+    let text = read_text(path, MOST_SETTINGS_BYTES)?;
+    let refused = |faults: AnalysisFaults| AppError::Usage(format!("{}, {faults}", path.display()));
+    let raw = RawAnalysis::from_toml(&text).map_err(refused)?;
+    AnalysisSettings::try_from(raw.clone()).map_err(refused)?;
+    Ok(raw)
 }
 
 /// One stack per channel; a stack that holds both cameras is opened once for each.

@@ -2,7 +2,7 @@
 
 use super::AppError;
 use super::analysis::{Analysis, Prepared, Source};
-use super::results::{Scores, species_names, write_results};
+use super::results::{Scores, ensure_space, species_names, write_results};
 use super::score::{Images, Score, Stage, StageImages, score_images, text};
 use crate::config::{AnalysisSettings, RawAnalysis};
 use crate::files::OutputDirectory;
@@ -61,6 +61,7 @@ pub(super) fn run(arguments: &DemoArguments) -> Result<(), AppError> {
     let out = OutputDirectory::create(&out_path(arguments))?;
     eprintln!("simulated microscope: {} seen by two cameras; no hardware is involved", world.scene().name());
     let prepared = Prepared::new(settings()?, source(&world)?)?;
+    ensure_space(&prepared, &out)?;
     let frames = world.scene().frames();
     let analysis = prepared.run::<u16>(|first, blocks| {
         let last = frames.min(first + BLOCK as u64);

@@ -1,7 +1,7 @@
 //! The result directory: images, pictures, report; see the README's table of files.
 
 use super::AppError;
-use super::analysis::Analysis;
+use super::analysis::{Analysis, Prepared};
 use crate::display::{
     Colormap, Contrast, DisplayError, Layer, PngNotes, Rgb, RgbImage, composite, default_colors, render,
 };
@@ -45,12 +45,12 @@ impl Summary {
     /// Prints the summary: one JSON object on stdout, or lines for a person.
     pub(super) fn print(mut self, results: &Path, json: bool) -> Result<(), AppError> {
         self.results = Some(results.to_owned());
+        for warning in &self.warnings {
+            eprintln!("warning: {warning}");
+        }
         if json {
             println!("{}", serde_json::to_string_pretty(&self).map_err(AppError::data)?);
             return Ok(());
-        }
-        for warning in &self.warnings {
-            eprintln!("warning: {warning}");
         }
         println!(
             "{} of {} exposures in {} subsequences analyzed in {:.1} s",
@@ -70,7 +70,6 @@ pub(super) fn write_results(
     command: &str,
     scores: Option<Scores>,
 ) -> Result<Summary, AppError> {
-    ensure_free(out.directory(), needed_bytes(analysis))?;
     let mut writer = Writer { analysis, out, files: Vec::new() };
     let n = analysis.prepared.grid.order();
     let channels = channel_names(analysis);
@@ -91,13 +90,23 @@ pub(super) fn write_results(
     Ok(summary(analysis, &report, files))
 }
 
+/// Refuses, before the first frame is read, when the results would not fit on the disk.
+///
+/// # Errors
+/// [`AppError`] with the space needed and free.
+pub(super) fn ensure_space(prepared: &Prepared, out: &OutputDirectory) -> Result<(), AppError> {
+    Ok(ensure_free(out.target(), needed_bytes(prepared))?)
+}
+
 /// Bytes of all images, with room for pictures and report.
-fn needed_bytes(analysis: &Analysis) -> u64 {
-    let stages =
-        analysis.stages.iter().flat_map(|s| s.unmixed.iter().chain(&s.flattened).chain(&s.linearized));
-    let drawing = &analysis.drawing;
-    let images = drawing.means.iter().chain(&drawing.variances).chain(&drawing.cumulants).chain(stages);
-    images.map(|image| (image.len() * size_of::<f32>()) as u64).sum::<u64>() + (32 << 20)
+fn needed_bytes(prepared: &Prepared) -> u64 {
+    let n = prepared.grid.order() as u64;
+    let cameras = prepared.source.inputs.len() as u64;
+    let spectral_channels = if cameras > 1 { n + 1 } else { 1 };
+    let coarse = 2 * cameras;
+    let fine = spectral_channels + 3 * prepared.species.len() as u64;
+    let pixels = (prepared.source.height * prepared.source.width) as u64;
+    (coarse + fine * n * n) * pixels * size_of::<f32>() as u64 + (32 << 20)
 }
 
 fn summary(analysis: &Analysis, report: &AnalysisReport, mut files: Vec<String>) -> Summary {

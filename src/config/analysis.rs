@@ -1,5 +1,6 @@
 //! Settings of an analysis: a TOML file, overridden by arguments, checked as a whole.
 
+use super::form::{self, Faults};
 use crate::sofi::grid::Combinations;
 use serde::{Deserialize, Serialize};
 
@@ -77,6 +78,25 @@ pub struct AnalysisSettings {
     pub saturation_counts: Option<f32>,
 }
 
+/// Keys of a settings file, see [`RawAnalysis`].
+const KEYS: [&str; 15] = [
+    "order",
+    "subsequence_exposures",
+    "combinations",
+    "lags_exposures",
+    "species",
+    "dichroic",
+    "unmixing",
+    "flattening",
+    "iterations",
+    "accelerated",
+    "reconvolution",
+    "psf_sigma_px",
+    "numerical_aperture",
+    "pixel_pitch_nm",
+    "saturation_counts",
+];
+
 /// Everything that is wrong with the settings.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{}", faults.join("; "))]
@@ -89,10 +109,22 @@ impl RawAnalysis {
     /// Reads a settings file.
     ///
     /// # Errors
-    /// One fault, with line and key, for text that is not such a file.
+    /// Every fault of syntax, or every unknown key, or the first value of a wrong kind; each with its line.
     pub fn from_toml(text: &str) -> Result<Self, AnalysisFaults> {
-        toml::from_str(text)
-            .map_err(|error| AnalysisFaults { faults: vec![error.to_string().trim().to_owned()] })
+        let faults = Faults::new(text);
+        form::read(text, &faults, |form| form.know(&KEYS));
+        let mut faults = faults.into_list();
+        if !faults.is_empty() {
+            // One slip of syntax is several errors to the parser.
+            faults.dedup_by_key(|fault| fault.line);
+            return Err(AnalysisFaults { faults: faults.iter().map(ToString::to_string).collect() });
+        }
+        toml::from_str(text).map_err(|error| {
+            let before = error.span().map_or("", |span| &text[..span.start.min(text.len())]);
+            let line = 1 + before.matches('\n').count();
+            let message = in_words(error.message().trim());
+            AnalysisFaults { faults: vec![format!("line {line}: {message}; give a value of that kind")] }
+        })
     }
 
     /// These settings where they are given, those of `other` where not.
@@ -140,6 +172,7 @@ impl TryFrom<RawAnalysis> for AnalysisSettings {
             ("psf_sigma_px", raw.psf_sigma_px),
             ("numerical_aperture", raw.numerical_aperture),
             ("pixel_pitch_nm", raw.pixel_pitch_nm),
+            ("saturation_counts", raw.saturation_counts.map(f64::from)),
         ] {
             if let Some(value) = value.filter(|value| !(value.is_finite() && *value > 0.0)) {
                 faults.push(format!("{key} = {value} must be a positive number"));
@@ -164,6 +197,15 @@ impl TryFrom<RawAnalysis> for AnalysisSettings {
         };
         if faults.is_empty() { Ok(settings) } else { Err(AnalysisFaults { faults }) }
     }
+}
+
+/// A message about kinds of values with words in place of the names of Rust's types.
+fn in_words(message: &str) -> String {
+    [("usize", "a whole number"), ("u64", "a whole number"), ("f64", "a number"), ("f32", "a number")]
+        .iter()
+        .fold(message.to_owned(), |said, (kind, words)| {
+            said.replace(&format!("expected {kind}"), &format!("expected {words}"))
+        })
 }
 
 /// The value with that name, the first one when none was given; an unknown name is a fault that lists the known ones.
@@ -200,5 +242,31 @@ mod tests {
     fn unknown_keys_are_refused_with_their_line() {
         let fault = RawAnalysis::from_toml("order = 2\nsubsequense = 3").unwrap_err().to_string();
         assert!(fault.contains("line 2") && fault.contains("subsequense"), "{fault}");
+        let fault = RawAnalysis::from_toml("oder = 2\nspecies = []\niteration = 3").unwrap_err();
+        let written = fault.faults.iter().filter(|fault| fault.contains("write `"));
+        assert_eq!(written.count(), 2, "{fault}");
+    }
+
+    #[test]
+    fn every_key_of_the_settings_is_known() {
+        let raw = serde_json::to_value(RawAnalysis::default()).unwrap();
+        let mut keys: Vec<&String> = raw.as_object().unwrap().keys().collect();
+        let mut known = KEYS.to_vec();
+        keys.sort();
+        known.sort_unstable();
+        assert_eq!(keys, known);
+    }
+
+    #[test]
+    fn faults_of_syntax_and_kind_are_one_line_each() {
+        for (text, part) in [
+            ("order = = 2", "line 1"),
+            ("order = 2\niterations = \"many\"", "line 2: invalid type"),
+            ("order = -3", "expected a whole number"),
+            ("[order]\nx = 1", "line 1"),
+        ] {
+            let fault = RawAnalysis::from_toml(text).unwrap_err().to_string();
+            assert!(fault.contains(part) && !fault.contains('\n'), "{fault}");
+        }
     }
 }

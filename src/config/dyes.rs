@@ -115,11 +115,7 @@ pub enum DyeError {
     #[error("no fluorophore was given; give at least one")]
     NoName,
     /// No fluorophore is called so.
-    #[error(
-        "no fluorophore is called \"{name}\".{} Known are: {}",
-        suggestion(.nearest),
-        .known.join(", ")
-    )]
+    #[error("no fluorophore is called \"{name}\".{}", nearest_or_all(.nearest, .known))]
     UnknownFluorophore {
         /// The name as given.
         name: String,
@@ -129,7 +125,7 @@ pub enum DyeError {
         known: Vec<String>,
     },
     /// No dichroic is called so.
-    #[error("no dichroic is called \"{name}\".{} Known are: {}", suggestion(.nearest), .known.join(", "))]
+    #[error("no dichroic is called \"{name}\".{}", nearest_or_all(.nearest, .known))]
     UnknownDichroic {
         /// The name as given.
         name: String,
@@ -151,6 +147,14 @@ pub enum DyeError {
     /// The same dye was given twice, perhaps under two names.
     #[error("{0} was given twice; give each fluorophore once")]
     Repeated(String),
+}
+
+/// What to write instead of an unknown name: the nearest ones, or any when none is near.
+fn nearest_or_all(nearest: &[String], known: &[String]) -> String {
+    match nearest {
+        [] => format!(" Known are: {}.", known.join(", ")),
+        some => suggestion(some),
+    }
 }
 
 fn elsewhere(dichroics: &[String]) -> String {

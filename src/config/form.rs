@@ -205,6 +205,11 @@ impl<'t> Form<'t> {
         })
     }
 
+    /// Takes these keys as known without reading them.
+    pub(super) fn know(&self, keys: &[&'static str]) {
+        self.asked.borrow_mut().extend(keys);
+    }
+
     /// Notes every key that no one asked for, with the nearest known one.
     pub(super) fn finish(&self) {
         let asked = self.asked.borrow();
