@@ -202,7 +202,7 @@ fn orders_and_subsequences_out_of_range() {
         (["--subsequence", "0"], USAGE, &["subsequence of 0", "at least 2"]),
         (["--combinations", "sofi"], USAGE, &["combinations", "sofipackage"]),
         (["--psf-sigma", "0"], USAGE, &["psf_sigma_px", "positive"]),
-        (["--psf-sigma", "1e9"], USAGE, &["psf_sigma_px", "at most"]),
+        (["--psf-sigma", "1e9"], USAGE, &["psf_sigma_px", "at most 1000 px"]),
         (["--pixel-nm", "nan"], USAGE, &["pixel_pitch_nm", "positive"]),
     ] {
         bench.refuses(&["r.tif", "t.tif", more[0], more[1]], code, parts);
@@ -321,7 +321,7 @@ fn a_disk_that_fills_up_leaves_nothing_behind() {
     let mut shell = Command::new("bash");
     let shell = shell.current_dir(bench.folder.path());
     let output = shell.args(["-c", script, env!("CARGO_BIN_EXE_sofiscope")]).output().unwrap();
-    check(&output, DATA, &["not enough space", "Free some space"]);
+    check(&output, DATA, &["/out: not enough space", "Free some space"]);
     assert_eq!(bench.names(), ["r.tif", "t.tif"]);
 }
 

@@ -10,7 +10,7 @@ use crate::sofi::cumulant::{Count, CumulantEngine, CumulantSettings, Drawing, In
 use crate::sofi::flattening::estimate_sigma;
 use crate::sofi::grid::VirtualPixelGrid;
 use crate::sofi::linearization::{Acceleration, LinearizationSettings, Reconvolution};
-use crate::sofi::psf::Psf;
+use crate::sofi::psf::{Psf, PsfError};
 use crate::sofi::spectra::Species;
 use crate::sofi::unmixing::{UnmixingError, UnmixingMatrix, UnmixingMethod};
 use ndarray::array;
@@ -79,7 +79,7 @@ impl Prepared {
         let engine = engine_settings(&settings, &source)?;
         let grid = engine.checked_grid().map_err(AppError::usage)?;
         if let Some(sigma_px) = settings.psf_sigma_px {
-            Psf::gaussian(sigma_px).map_err(|error| AppError::Usage(format!("psf_sigma_px: {error}")))?;
+            Psf::gaussian(sigma_px).map_err(|error| unlike_a_psf(&error))?;
         }
         let species = species(&settings, &source, &mut warnings)?;
         let matrix = mixing(&settings, &source, &species)?;
@@ -150,7 +150,7 @@ impl Prepared {
             .map(|(sigma_px, _)| {
                 let (iterations, reconvolve) = (self.settings.iterations, self.settings.reconvolution);
                 Ok(LinearizationSettings {
-                    psf: Psf::gaussian(*sigma_px).map_err(AppError::usage)?,
+                    psf: Psf::gaussian(*sigma_px).map_err(|error| unlike_a_psf(&error))?,
                     iterations,
                     acceleration: if self.settings.accelerated {
                         Acceleration::BiggsAndrews
@@ -288,6 +288,12 @@ fn mixing(
             .map(Some)
             .map_err(|error| inseparable(&error, settings.dichroic.as_deref())),
     }
+}
+
+fn unlike_a_psf(error: &PsfError) -> AppError {
+    AppError::Usage(format!(
+        "the point-spread function: {error}; check psf_sigma_px, or pixel_pitch_nm and numerical_aperture"
+    ))
 }
 
 /// The error of the unmixing with what can be done about it.

@@ -5,7 +5,7 @@ use super::analysis::{Analysis, Prepared};
 use crate::display::{
     Colormap, Contrast, DisplayError, Layer, PngNotes, Rgb, RgbImage, composite, default_colors, render,
 };
-use crate::files::{OutputDirectory, ResultHeader, ensure_free, write_result};
+use crate::files::{FileError, OutputDirectory, ResultHeader, ensure_free, write_result};
 use crate::report::{self, AnalysisReport, ColorScale, Crosstalk, LegendEntry, Picture, Resolution, Step};
 use ndarray::Array2;
 use serde::Serialize;
@@ -163,9 +163,19 @@ impl Writer<'_> {
             .map(|image| image.as_slice().expect("result images are row-major and whole"))
             .collect();
         let file = format!("{name}.ome.tif");
-        write_result(&self.out.file(&file), &header, &planes)?;
+        write_result(&self.out.file(&file), &header, &planes).map_err(|error| self.visible(error))?;
         self.files.push(file);
         Ok(())
+    }
+
+    /// The error with the path that the output would have had, as the partial one is gone when it is read.
+    fn visible(&self, error: FileError) -> FileError {
+        match error {
+            FileError::DiskFull { space, .. } => {
+                FileError::DiskFull { path: self.out.target().to_path_buf(), space }
+            }
+            other => other,
+        }
     }
 
     fn composite(&mut self) -> Result<(), AppError> {
