@@ -13,6 +13,8 @@ pub struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Turn two stacks of frames, or one, into the unmixed super-resolved image
+    Analyze(Box<super::analyze::AnalyzeArguments>),
     /// Measure pairs per second beside this machine's memory bandwidth
     Bench(super::bench::BenchArguments),
     /// Write the frames of both cameras looking at a simulated scene, and the ground truth
@@ -29,6 +31,7 @@ enum Command {
 /// [`AppError`] with the message and exit code of whatever ended the command early.
 pub fn run(arguments: Arguments) -> Result<(), AppError> {
     match arguments.command {
+        Command::Analyze(arguments) => super::analyze::run(&arguments),
         Command::Bench(arguments) => super::bench::run(&arguments),
         Command::Simulate(arguments) => super::simulate::run(&arguments),
         Command::Score(arguments) => super::score::run(&arguments),

@@ -3,13 +3,17 @@
 //! In: arguments. Out: files, progress on stderr, results on stdout, an exit code.
 //! Never: computes an image itself. Fails: [`AppError`], one or two sentences and an exit code.
 
+mod analysis;
+mod analyze;
 pub mod bench;
 pub mod check;
 mod cli;
 mod error;
 mod progress;
+mod results;
 pub mod score;
 pub mod simulate;
+mod summary;
 mod text_file;
 
 pub use cli::{Arguments, run};

@@ -208,7 +208,7 @@ fn header(scene: &Scene, seed: u64, channel: Channel) -> StackHeader {
         height: scene.height_px(),
         width: scene.width_px(),
         name: format!("{} {name} (simulated)", scene.name()),
-        channel: name.to_owned(),
+        channel: format!("{name} (simulated)"),
         description: format!(
             "SIMULATED, not measured: camera {camera} looking at the scene {}, seed {seed}. {}",
             scene.name(),

@@ -1,3 +1,13 @@
-//! Frame pairs to images.
+//! Exposures to images: runs the mathematics of [`sofi`](crate::sofi) on all cores.
+//!
+//! In: blocks of exposures from a file, a simulator or cameras. Out: every stage from cumulants to linearized images.
+//! Never: opens a file, draws a picture, holds more than two blocks of frames.
+//! Fails: [`ReconstructionError`], which names the stage and what to change.
+
+mod chain;
+mod feed;
 mod workers;
+
+pub use chain::{ChainSettings, FlatteningKind, ReconstructionError, Stages, reconstruct};
+pub use feed::{BLOCK, Feed, FeedError, feed};
 pub use workers::AllCores;

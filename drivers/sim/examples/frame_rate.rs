@@ -5,9 +5,7 @@ use std::time::Instant;
 use sofiscope_sim::{Scene, World};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let name = std::env::args()
-        .nth(1)
-        .unwrap_or_else(|| "figure-s4".into());
+    let name = std::env::args().nth(1).unwrap_or_else(|| "figure-s4".into());
     let text = Scene::built_in(&name).ok_or("no such scene")?;
     let scene = Scene::from_toml(text)?;
     let start = Instant::now();

@@ -43,19 +43,9 @@ pub(crate) struct OnIntervals {
 impl OnIntervals {
     /// Draws the bleaching time and the state at time zero; the rest follows on demand.
     pub(crate) fn new(kinetics: Kinetics, end: f64, mut rng: Xoshiro256PlusPlus) -> Self {
-        let bleached = kinetics
-            .bleaching
-            .map_or(end, |mean| exponential(&mut rng, mean));
-        let starts_on = kinetics
-            .switching
-            .is_none_or(|switching| uniform(&mut rng) < switching.on_ratio());
-        Self {
-            rng,
-            switching: kinetics.switching,
-            now: 0.0,
-            end: end.min(bleached),
-            starts_on,
-        }
+        let bleached = kinetics.bleaching.map_or(end, |mean| exponential(&mut rng, mean));
+        let starts_on = kinetics.switching.is_none_or(|switching| uniform(&mut rng) < switching.on_ratio());
+        Self { rng, switching: kinetics.switching, now: 0.0, end: end.min(bleached), starts_on }
     }
 }
 
@@ -104,32 +94,22 @@ mod tests {
     use crate::random::Stream;
 
     fn intervals(kinetics: Kinetics, end: f64, emitter: u64) -> OnIntervals {
-        let stream = Stream::Trajectory {
-            species: 0,
-            emitter,
-        };
+        let stream = Stream::Trajectory { species: 0, emitter };
         OnIntervals::new(kinetics, end, stream.generator(99))
     }
 
     fn blinking(on: f64, off: f64) -> Kinetics {
-        Kinetics {
-            switching: Some(Switching { on, off }),
-            bleaching: None,
-        }
+        Kinetics { switching: Some(Switching { on, off }), bleaching: None }
     }
 
     /// Largest distance of the sample from the exponential law, times the root of the sample size.
     fn kolmogorov_smirnov(mut sample: Vec<f64>, mean: f64) -> f64 {
         sample.sort_by(f64::total_cmp);
         let n = sample.len() as f64;
-        let distance = sample
-            .iter()
-            .enumerate()
-            .fold(0.0_f64, |most, (rank, &time)| {
-                let law = 1.0 - (-time / mean).exp();
-                most.max((law - rank as f64 / n).abs())
-                    .max((law - (rank + 1) as f64 / n).abs())
-            });
+        let distance = sample.iter().enumerate().fold(0.0_f64, |most, (rank, &time)| {
+            let law = 1.0 - (-time / mean).exp();
+            most.max((law - rank as f64 / n).abs()).max((law - (rank + 1) as f64 / n).abs())
+        });
         distance * n.sqrt()
     }
 
@@ -143,10 +123,7 @@ mod tests {
             let n = times.len() as f64;
             assert!(n > 15_000.0);
             let average = times.iter().sum::<f64>() / n;
-            assert!(
-                (average - mean).abs() < 4.0 * mean / n.sqrt(),
-                "{average} for {mean}"
-            );
+            assert!((average - mean).abs() < 4.0 * mean / n.sqrt(), "{average} for {mean}");
             // 1.95 is passed by one sample in a thousand.
             assert!(kolmogorov_smirnov(times, mean) < 1.95);
         }
@@ -157,9 +134,7 @@ mod tests {
         let (num_emitters, exposures) = (20_000_u64, 60.0);
         let (mut first, mut late) = (0.0, 0.0);
         for emitter in 0..num_emitters {
-            for (exposure, fraction) in
-                on_fractions(intervals(blinking(1.0, 9.0), exposures, emitter))
-            {
+            for (exposure, fraction) in on_fractions(intervals(blinking(1.0, 9.0), exposures, emitter)) {
                 match exposure {
                     0 => first += f64::from(fraction),
                     59 => late += f64::from(fraction),
@@ -175,10 +150,7 @@ mod tests {
 
     #[test]
     fn bleaching_times_are_exponential_and_final() {
-        let kinetics = Kinetics {
-            switching: None,
-            bleaching: Some(40.0),
-        };
+        let kinetics = Kinetics { switching: None, bleaching: Some(40.0) };
         let times: Vec<f64> = (0..5000)
             .filter_map(|emitter| intervals(kinetics, 1e9, emitter).last())
             .map(|(_, to)| to)

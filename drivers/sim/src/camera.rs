@@ -23,11 +23,7 @@ pub(crate) struct Digitizer {
 impl Digitizer {
     pub(crate) fn new(model: CameraModel, background_photons: f32) -> Self {
         let background = FixedMean::new(mean_electrons(&model, background_photons));
-        Self {
-            model,
-            background_photons,
-            background,
-        }
+        Self { model, background_photons, background }
     }
 
     /// Draws one frame.
@@ -66,14 +62,7 @@ mod tests {
     fn mean_and_variance(counts: &[u16]) -> (f64, f64) {
         let n = counts.len() as f64;
         let mean = counts.iter().map(|&c| f64::from(c)).sum::<f64>() / n;
-        (
-            mean,
-            counts
-                .iter()
-                .map(|&c| (f64::from(c) - mean).powi(2))
-                .sum::<f64>()
-                / n,
-        )
+        (mean, counts.iter().map(|&c| (f64::from(c) - mean).powi(2)).sum::<f64>() / n)
     }
 
     #[test]
@@ -93,32 +82,19 @@ mod tests {
             // Rounding to whole counts adds 1/12.
             let expected = 2.2 * 2.2 * (electrons + 1.4 * 1.4) + 1.0 / 12.0;
             let error = (expected / n as f64).sqrt();
-            assert!(
-                (mean - 100.0 - 2.2 * electrons).abs() < 4.0 * error,
-                "{photons}: {mean}"
-            );
+            assert!((mean - 100.0 - 2.2 * electrons).abs() < 4.0 * error, "{photons}: {mean}");
             let error = expected * (2.0 / n as f64).sqrt() * (1.0 + 1.0 / electrons);
-            assert!(
-                (variance - expected).abs() < 4.0 * error,
-                "{photons}: {variance}"
-            );
+            assert!((variance - expected).abs() < 4.0 * error, "{photons}: {variance}");
         }
     }
 
     #[test]
     fn counts_end_at_zero_and_at_saturation() {
-        let model = CameraModel {
-            saturation_counts: 4095,
-            ..CameraModel::default()
-        };
+        let model = CameraModel { saturation_counts: 4095, ..CameraModel::default() };
         assert!(frame(model, 1e5, 50).iter().all(|&count| count == 4095));
         let full = CameraModel::default();
         assert!(frame(full, 1e6, 50).iter().all(|&count| count == u16::MAX));
-        let noisy = CameraModel {
-            offset_counts: 0.0,
-            read_noise_electrons: 5.0,
-            ..CameraModel::default()
-        };
+        let noisy = CameraModel { offset_counts: 0.0, read_noise_electrons: 5.0, ..CameraModel::default() };
         let counts = frame(noisy, 0.0, 1000);
         assert!(counts.iter().filter(|&&count| count == 0).count() > 400);
     }

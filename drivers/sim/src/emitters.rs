@@ -34,55 +34,35 @@ pub(crate) struct Patch {
 
 /// All emitters of a scene in order of species, and the patches among them.
 pub(crate) fn place(scene: &Scene, seed: u64) -> (Vec<Emitter>, Vec<Patch>) {
-    let patches = scene
-        .patch_grid()
-        .map_or_else(Vec::new, |grid| fill_grid(scene, grid, seed));
+    let patches = scene.patch_grid().map_or_else(Vec::new, |grid| fill_grid(scene, grid, seed));
     let mut emitters = Vec::new();
     for (index, species) in scene.species().iter().enumerate() {
         let kinetics = species.kinetics(scene.exposure_ms());
         let mut number = 0;
         let mut push = |position_px, photons, kinetics| {
-            emitters.push(Emitter {
-                species: index,
-                number,
-                position_px,
-                photons,
-                kinetics,
-            });
+            emitters.push(Emitter { species: index, number, position_px, photons, kinetics });
             number += 1;
         };
         for (shape_index, shape) in species.shapes.iter().enumerate() {
-            let stream = Stream::Placement {
-                species: index as u64,
-                shape: shape_index as u64,
-            };
+            let stream = Stream::Placement { species: index as u64, shape: shape_index as u64 };
             let count = shape.num_emitters(scene.optics().pixel_pitch_nm);
             for position_px in on_shape(shape, count, &mut stream.generator(seed)) {
                 push(position_px, species.i_on_photons, kinetics);
             }
         }
         for (patch, positions) in patches.iter().filter(|(patch, _)| patch.species == index) {
-            let kinetics = Kinetics {
-                switching: in_patch(kinetics, patch),
-                ..kinetics
-            };
+            let kinetics = Kinetics { switching: in_patch(kinetics, patch), ..kinetics };
             for &position_px in positions {
                 push(position_px, patch.photons, kinetics);
             }
         }
     }
-    (
-        emitters,
-        patches.into_iter().map(|(patch, _)| patch).collect(),
-    )
+    (emitters, patches.into_iter().map(|(patch, _)| patch).collect())
 }
 
 /// The on-ratio of a patch comes about through its off-time.
 fn in_patch(kinetics: Kinetics, patch: &Patch) -> Option<Switching> {
-    kinetics.switching.map(|Switching { on, .. }| Switching {
-        on,
-        off: on * (1.0 / patch.on_ratio - 1.0),
-    })
+    kinetics.switching.map(|Switching { on, .. }| Switching { on, off: on * (1.0 / patch.on_ratio - 1.0) })
 }
 
 fn fill_grid(scene: &Scene, grid: &PatchGrid, seed: u64) -> Vec<(Patch, Vec<[f64; 2]>)> {
@@ -98,24 +78,12 @@ fn fill_grid(scene: &Scene, grid: &PatchGrid, seed: u64) -> Vec<(Patch, Vec<[f64
                 grid.from_px[1] + column as f64 * grid.spacing_px,
             ];
             let own = &scene.species()[species];
-            let photons = grid
-                .i_on_photons
-                .map_or(own.i_on_photons, |ends| ramp(ends, row, rows));
-            let on_ratio = grid.on_ratio.map_or(own.photophysics.on_ratio(), |ends| {
-                ramp(ends, column, columns)
-            });
-            let positions = (0..grid.emitters_per_patch)
-                .map(|_| in_disc(center_px, radius_px, &mut rng))
-                .collect();
-            patches.push((
-                Patch {
-                    species,
-                    center_px,
-                    photons,
-                    on_ratio,
-                },
-                positions,
-            ));
+            let photons = grid.i_on_photons.map_or(own.i_on_photons, |ends| ramp(ends, row, rows));
+            let on_ratio =
+                grid.on_ratio.map_or(own.photophysics.on_ratio(), |ends| ramp(ends, column, columns));
+            let positions =
+                (0..grid.emitters_per_patch).map(|_| in_disc(center_px, radius_px, &mut rng)).collect();
+            patches.push((Patch { species, center_px, photons, on_ratio }, positions));
         }
     }
     patches
@@ -123,31 +91,15 @@ fn fill_grid(scene: &Scene, grid: &PatchGrid, seed: u64) -> Vec<(Patch, Vec<[f64
 
 /// Linear from the first to the last of `count` places.
 fn ramp(ends: [f64; 2], place: u64, count: u64) -> f64 {
-    let share = if count > 1 {
-        place as f64 / (count - 1) as f64
-    } else {
-        0.0
-    };
+    let share = if count > 1 { place as f64 / (count - 1) as f64 } else { 0.0 };
     ends[0] + share * (ends[1] - ends[0])
 }
 
 fn on_shape(shape: &Shape, count: u64, rng: &mut Xoshiro256PlusPlus) -> Vec<[f64; 2]> {
-    if let Shape::Random {
-        from_px,
-        to_px,
-        minimum_distance_px,
-        ..
-    } = shape
-    {
+    if let Shape::Random { from_px, to_px, minimum_distance_px, .. } = shape {
         return apart(*from_px, *to_px, *minimum_distance_px, count, rng);
     }
-    if let Shape::Drawing {
-        from_px,
-        cell_px,
-        rows,
-        ..
-    } = shape
-    {
+    if let Shape::Drawing { from_px, cell_px, rows, .. } = shape {
         return in_drawing(*from_px, *cell_px, rows, count, rng);
     }
     let axis = shape.axis();
@@ -163,22 +115,8 @@ fn on_shape(shape: &Shape, count: u64, rng: &mut Xoshiro256PlusPlus) -> Vec<[f64
                 let along = uniform(rng) * length;
                 axis.place(along, (uniform(rng) - 0.5) * width_px)
             }
-            (
-                Shape::Disc {
-                    center_px,
-                    radius_px,
-                    ..
-                },
-                _,
-            ) => in_disc(*center_px, *radius_px, rng),
-            (
-                Shape::Blob {
-                    center_px,
-                    sigma_px,
-                    ..
-                },
-                _,
-            ) => in_cloud(*center_px, *sigma_px, rng),
+            (Shape::Disc { center_px, radius_px, .. }, _) => in_disc(*center_px, *radius_px, rng),
+            (Shape::Blob { center_px, sigma_px, .. }, _) => in_cloud(*center_px, *sigma_px, rng),
             _ => [f64::NAN; 2],
         })
         .collect()
@@ -195,10 +133,7 @@ fn in_cloud(center_px: [f64; 2], sigma_px: f64, rng: &mut Xoshiro256PlusPlus) ->
 
 fn around(center_px: [f64; 2], radius_px: f64, rng: &mut Xoshiro256PlusPlus) -> [f64; 2] {
     let angle = std::f64::consts::TAU * uniform(rng);
-    [
-        center_px[0] + radius_px * libm::sin(angle),
-        center_px[1] + radius_px * libm::cos(angle),
-    ]
+    [center_px[0] + radius_px * libm::sin(angle), center_px[1] + radius_px * libm::cos(angle)]
 }
 
 /// Positions in the cells of a drawing, each as often as its weight says.
@@ -239,14 +174,9 @@ fn apart(
     let mut positions: Vec<[f64; 2]> = Vec::new();
     for _ in 0..count {
         for _ in 0..TRIES {
-            let position = [
-                between(rng, from_px[0], to_px[0]),
-                between(rng, from_px[1], to_px[1]),
-            ];
+            let position = [between(rng, from_px[0], to_px[0]), between(rng, from_px[1], to_px[1])];
             let free = minimum_distance_px == 0.0
-                || positions
-                    .iter()
-                    .all(|&other| distance(position, other) >= minimum_distance_px);
+                || positions.iter().all(|&other| distance(position, other) >= minimum_distance_px);
             if free {
                 positions.push(position);
                 break;
@@ -267,27 +197,13 @@ mod tests {
     /// Mean and variance agree with a uniform law between two limits within 4 standard errors.
     fn assert_uniform(values: &[f64], from: f64, to: f64) {
         let (n, width) = (values.len() as f64, to - from);
-        assert!(
-            values
-                .iter()
-                .all(|value| (from - 1e-9..=to + 1e-9).contains(value))
-        );
+        assert!(values.iter().all(|value| (from - 1e-9..=to + 1e-9).contains(value)));
         let mean = values.iter().sum::<f64>() / n;
-        let variance = values
-            .iter()
-            .map(|value| (value - mean).powi(2))
-            .sum::<f64>()
-            / n;
-        assert!(
-            (mean - (from + to) / 2.0).abs() < 4.0 * width / (12.0 * n).sqrt(),
-            "{mean}"
-        );
+        let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / n;
+        assert!((mean - (from + to) / 2.0).abs() < 4.0 * width / (12.0 * n).sqrt(), "{mean}");
         // The fourth central moment of a uniform law is width^4 / 80.
         let error = width.powi(2) * ((1.0 / 80.0 - 1.0 / 144.0) / n).sqrt();
-        assert!(
-            (variance - width.powi(2) / 12.0).abs() < 4.0 * error,
-            "{variance}"
-        );
+        assert!((variance - width.powi(2) / 12.0).abs() < 4.0 * error, "{variance}");
     }
 
     #[test]
@@ -299,26 +215,15 @@ mod tests {
             density_per_um2: 1.0,
         };
         let positions = positions(&shape);
-        assert_uniform(
-            &positions.iter().map(|p| p[0]).collect::<Vec<_>>(),
-            9.8,
-            10.2,
-        );
-        assert_uniform(
-            &positions.iter().map(|p| p[1]).collect::<Vec<_>>(),
-            5.0,
-            53.0,
-        );
+        assert_uniform(&positions.iter().map(|p| p[0]).collect::<Vec<_>>(), 9.8, 10.2);
+        assert_uniform(&positions.iter().map(|p| p[1]).collect::<Vec<_>>(), 5.0, 53.0);
         let ring = Shape::Ring {
             center_px: [30.0, 30.0],
             radius_px: [20.0, 20.0],
             width_px: 2.0,
             density_per_um2: 1.0,
         };
-        let radii: Vec<f64> = self::positions(&ring)
-            .iter()
-            .map(|&p| distance(p, [30.0, 30.0]))
-            .collect();
+        let radii: Vec<f64> = self::positions(&ring).iter().map(|&p| distance(p, [30.0, 30.0])).collect();
         // The ellipse has 256 straight sides, so radii fall short by up to 0.0015 px.
         assert_uniform(&radii, 18.9985, 21.001);
     }
@@ -326,27 +231,15 @@ mod tests {
     #[test]
     fn discs_are_filled_evenly_and_clouds_are_round_gaussians() {
         let center_px = [20.0, 40.0];
-        let disc = Shape::Disc {
-            center_px,
-            radius_px: 7.0,
-            density_per_um2: 1.0,
-        };
-        let squares: Vec<f64> = positions(&disc)
-            .iter()
-            .map(|&p| distance(p, center_px).powi(2))
-            .collect();
+        let disc = Shape::Disc { center_px, radius_px: 7.0, density_per_um2: 1.0 };
+        let squares: Vec<f64> = positions(&disc).iter().map(|&p| distance(p, center_px).powi(2)).collect();
         assert_uniform(&squares, 0.0, 49.0);
-        let blob = Shape::Blob {
-            center_px,
-            sigma_px: 3.0,
-            emitters: 1,
-        };
+        let blob = Shape::Blob { center_px, sigma_px: 3.0, emitters: 1 };
         let cloud = positions(&blob);
         for axis in [0, 1] {
             let offsets = cloud.iter().map(|p| p[axis] - center_px[axis]);
             let n = cloud.len() as f64;
-            let (sum, squares) =
-                offsets.fold((0.0, 0.0), |(sum, squares), d| (sum + d, squares + d * d));
+            let (sum, squares) = offsets.fold((0.0, 0.0), |(sum, squares), d| (sum + d, squares + d * d));
             assert!((sum / n).abs() < 4.0 * 3.0 / n.sqrt());
             assert!((squares / n - 9.0).abs() < 4.0 * 9.0 * (2.0 / n).sqrt());
         }
@@ -354,20 +247,10 @@ mod tests {
 
     #[test]
     fn beads_keep_their_distance() {
-        let beads = apart(
-            [0.0, 0.0],
-            [100.0, 60.0],
-            6.0,
-            80,
-            &mut Stream::Patches.generator(3),
-        );
+        let beads = apart([0.0, 0.0], [100.0, 60.0], 6.0, 80, &mut Stream::Patches.generator(3));
         assert_eq!(beads.len(), 80);
         for (number, &bead) in beads.iter().enumerate() {
-            assert!(
-                beads[..number]
-                    .iter()
-                    .all(|&other| distance(bead, other) >= 6.0)
-            );
+            assert!(beads[..number].iter().all(|&other| distance(bead, other) >= 6.0));
             assert!((0.0..100.0).contains(&bead[0]) && (0.0..60.0).contains(&bead[1]));
         }
     }

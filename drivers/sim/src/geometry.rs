@@ -45,20 +45,14 @@ impl Line {
     pub(crate) fn ellipse(center: [f64; 2], radius: [f64; 2]) -> Self {
         let point = |k: i32| {
             let angle = std::f64::consts::TAU * f64::from(k) / 256.0;
-            [
-                center[0] + radius[0] * libm::sin(angle),
-                center[1] + radius[1] * libm::cos(angle),
-            ]
+            [center[0] + radius[0] * libm::sin(angle), center[1] + radius[1] * libm::cos(angle)]
         };
         Self::new((0..=256).map(point).collect())
     }
 
     /// Length in pixels.
     pub(crate) fn length(&self) -> f64 {
-        self.points
-            .windows(2)
-            .map(|ends| between(ends[0], ends[1]))
-            .sum()
+        self.points.windows(2).map(|ends| between(ends[0], ends[1])).sum()
     }
 
     /// The place `along` pixels from the start, `aside` pixels to its side.
@@ -68,10 +62,7 @@ impl Line {
         while let Some(ends) = pieces.next() {
             let length = between(ends[0], ends[1]);
             if (left <= length || pieces.peek().is_none()) && length > 0.0 {
-                let unit = [
-                    (ends[1][0] - ends[0][0]) / length,
-                    (ends[1][1] - ends[0][1]) / length,
-                ];
+                let unit = [(ends[1][0] - ends[0][0]) / length, (ends[1][1] - ends[0][1]) / length];
                 return [
                     ends[0][0] + left * unit[0] - aside * unit[1],
                     ends[0][1] + left * unit[1] + aside * unit[0],
@@ -85,21 +76,13 @@ impl Line {
     /// The place on the line nearest to a point.
     pub(crate) fn nearest(&self, point: [f64; 2]) -> Nearest {
         let far = f64::INFINITY;
-        let mut nearest = Nearest {
-            distance: far,
-            signed: far,
-            at_end: true,
-        };
+        let mut nearest = Nearest { distance: far, signed: far, at_end: true };
         let last = self.points.len().saturating_sub(2);
         for (index, ends) in self.points.windows(2).enumerate() {
             let (along, signed, distance) = to_segment(ends[0], ends[1], point);
             if distance < nearest.distance {
                 let at_end = (index == 0 && along <= 0.0) || (index == last && along >= 1.0);
-                nearest = Nearest {
-                    distance,
-                    signed: signed.signum() * distance,
-                    at_end,
-                };
+                nearest = Nearest { distance, signed: signed.signum() * distance, at_end };
             }
         }
         nearest
@@ -117,11 +100,7 @@ fn to_segment(from: [f64; 2], to: [f64; 2], point: [f64; 2]) -> (f64, f64, f64) 
     }
     let along = ((py * dy + px * dx) / squared).clamp(0.0, 1.0);
     let foot = [from[0] + along * dy, from[1] + along * dx];
-    (
-        (along),
-        (dy * px - dx * py) / squared.sqrt(),
-        between(foot, point),
-    )
+    ((along), (dy * px - dx * py) / squared.sqrt(), between(foot, point))
 }
 
 /// Distance between two points.
@@ -147,17 +126,11 @@ mod tests {
     fn distance_is_perpendicular_beside_and_radial_beyond_the_ends() {
         let line = Line::new(vec![[0.0, 0.0], [0.0, 10.0]]);
         assert_eq!(line.nearest([3.0, 4.0]).distance, 3.0);
-        assert_eq!(
-            line.nearest([3.0, 4.0]).signed,
-            -line.nearest([-3.0, 4.0]).signed
-        );
+        assert_eq!(line.nearest([3.0, 4.0]).signed, -line.nearest([-3.0, 4.0]).signed);
         let beyond = line.nearest([3.0, 14.0]);
         assert_eq!((beyond.distance, beyond.at_end), (5.0, true));
         assert!(!line.nearest([3.0, 4.0]).at_end);
-        assert_eq!(
-            Line::new(Vec::new()).nearest([0.0, 0.0]).distance,
-            f64::INFINITY
-        );
+        assert_eq!(Line::new(Vec::new()).nearest([0.0, 0.0]).distance, f64::INFINITY);
     }
 
     #[test]
@@ -165,10 +138,7 @@ mod tests {
         let line = Line::new(vec![[0.0, 0.0], [0.0, 10.0], [5.0, 10.0]]);
         assert_eq!(line.length(), 15.0);
         let place = line.place(12.0, 0.2);
-        assert!(
-            (line.nearest(place).distance - 0.2).abs() < 1e-12,
-            "{place:?}"
-        );
+        assert!((line.nearest(place).distance - 0.2).abs() < 1e-12, "{place:?}");
         assert!((place[0] - 2.0).abs() < 1e-12);
     }
 
@@ -176,11 +146,7 @@ mod tests {
     fn curves_pass_through_their_points_and_ellipses_have_their_perimeter() {
         let points = [[0.0, 0.0], [3.0, 8.0], [-2.0, 20.0]];
         let curve = Line::smooth(&points);
-        assert!(
-            points
-                .iter()
-                .all(|&point| curve.nearest(point).distance < 1e-12)
-        );
+        assert!(points.iter().all(|&point| curve.nearest(point).distance < 1e-12));
         let circle = Line::ellipse([5.0, 5.0], [10.0, 10.0]);
         assert!((circle.length() / (20.0 * std::f64::consts::PI) - 1.0).abs() < 1e-3);
     }

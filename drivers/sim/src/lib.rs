@@ -38,8 +38,7 @@ mod world;
 
 pub use optics::psf_sigma_px;
 pub use scene::{
-    CameraModel, Fault, Mirror, Optics, PatchGrid, Photophysics, Scene, SceneError, Shape, Species,
-    View,
+    CameraModel, Fault, Mirror, Optics, PatchGrid, Photophysics, Scene, SceneError, Shape, Species, View,
 };
 pub use score::{Plane, ScoreError};
 pub use truth::{PatchTruth, SpeciesTruth, Truth, TruthError};

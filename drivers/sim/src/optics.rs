@@ -49,18 +49,10 @@ impl SpotPatterns {
         let (first_x, num_x) = covered(x, spot.sigma_px, width);
         let dark = spot.photons <= 0.0 || num_y == 0 || num_x == 0;
         let (num_y, num_x) = if dark { (0, 0) } else { (num_y, num_x) };
-        self.weights.extend(
-            profile(y, spot.sigma_px, first_y, num_y).map(|share| (share * spot.photons) as f32),
-        );
         self.weights
-            .extend(profile(x, spot.sigma_px, first_x, num_x).map(|share| share as f32));
-        self.patterns.push(Pattern {
-            first_y,
-            first_x,
-            num_y,
-            num_x,
-            first_weight,
-        });
+            .extend(profile(y, spot.sigma_px, first_y, num_y).map(|share| (share * spot.photons) as f32));
+        self.weights.extend(profile(x, spot.sigma_px, first_x, num_x).map(|share| share as f32));
+        self.patterns.push(Pattern { first_y, first_x, num_y, num_x, first_weight });
     }
 
     /// Adds `on_fraction` of the light of one emitter to a plane of this width.
@@ -86,17 +78,12 @@ fn covered(center: f64, sigma_px: f64, length: usize) -> (u32, u32) {
     let last_pixel = length as f64 - 1.0;
     let first = (center - reach).round().max(0.0);
     let last = (center + reach).round().min(last_pixel);
-    if first > last {
-        (0, 0)
-    } else {
-        (first as u32, (last - first) as u32 + 1)
-    }
+    if first > last { (0, 0) } else { (first as u32, (last - first) as u32 + 1) }
 }
 
 /// Share of a Gaussian in each of `count` pixels from `first`; pixel `k` spans `k - 1/2` to `k + 1/2`.
 fn profile(center: f64, sigma_px: f64, first: u32, count: u32) -> impl Iterator<Item = f64> {
-    let below =
-        move |edge: f64| 0.5 * libm::erf((edge - center) / (sigma_px * std::f64::consts::SQRT_2));
+    let below = move |edge: f64| 0.5 * libm::erf((edge - center) / (sigma_px * std::f64::consts::SQRT_2));
     (first..first + count).map(move |pixel| {
         let pixel = f64::from(pixel);
         below(pixel + 0.5) - below(pixel - 0.5)
@@ -124,11 +111,7 @@ mod tests {
 
     #[test]
     fn light_is_kept_and_lands_where_it_should() {
-        let spot = Spot {
-            position_px: [15.3, 12.8],
-            sigma_px: 1.02,
-            photons: 400.0,
-        };
+        let spot = Spot { position_px: [15.3, 12.8], sigma_px: 1.02, photons: 400.0 };
         let plane = image(spot, 32);
         let (mut sum, mut y_sum, mut x_sum, mut spread) = (0.0, 0.0, 0.0, 0.0);
         for (index, &photons) in plane.iter().enumerate() {
@@ -147,17 +130,9 @@ mod tests {
 
     #[test]
     fn spots_outside_leave_no_light_and_spots_at_the_edge_are_cut() {
-        let far = Spot {
-            position_px: [-40.0, 5.0],
-            sigma_px: 1.0,
-            photons: 100.0,
-        };
+        let far = Spot { position_px: [-40.0, 5.0], sigma_px: 1.0, photons: 100.0 };
         assert!(image(far, 16).iter().all(|&photons| photons == 0.0));
-        let edge = Spot {
-            position_px: [-0.5, 8.0],
-            sigma_px: 1.0,
-            photons: 100.0,
-        };
+        let edge = Spot { position_px: [-0.5, 8.0], sigma_px: 1.0, photons: 100.0 };
         let sum: f32 = image(edge, 16).iter().sum();
         assert!((sum - 50.0).abs() < 1e-3, "{sum}");
     }

@@ -34,10 +34,7 @@ pub(crate) struct FixedMean {
 
 impl FixedMean {
     pub(crate) fn new(mean: f64) -> Self {
-        Self {
-            mean,
-            exp_minus_mean: libm::exp(-mean),
-        }
+        Self { mean, exp_minus_mean: libm::exp(-mean) }
     }
 
     pub(crate) fn draw(&self, rng: &mut Xoshiro256PlusPlus) -> f64 {
@@ -87,15 +84,9 @@ mod tests {
             let average = draws.iter().sum::<f64>() / n as f64;
             let variance = draws.iter().map(|d| (d - average).powi(2)).sum::<f64>() / n as f64;
             let error = (mean / n as f64).sqrt();
-            assert!(
-                (average - mean).abs() < 4.0 * error,
-                "mean {average} for {mean}"
-            );
+            assert!((average - mean).abs() < 4.0 * error, "mean {average} for {mean}");
             let error = ((mean + 2.0 * mean * mean) / n as f64).sqrt();
-            assert!(
-                (variance - mean).abs() < 4.0 * error,
-                "variance {variance} for {mean}"
-            );
+            assert!((variance - mean).abs() < 4.0 * error, "variance {variance} for {mean}");
         }
     }
 
@@ -110,10 +101,7 @@ mod tests {
         let mut probability = f64::exp(-mean);
         for (k, &count) in seen.iter().take(8).enumerate() {
             let expected = probability * f64::from(n);
-            assert!(
-                (f64::from(count) - expected).abs() < 4.0 * expected.sqrt(),
-                "k = {k}"
-            );
+            assert!((f64::from(count) - expected).abs() < 4.0 * expected.sqrt(), "k = {k}");
             probability *= mean / (k + 1) as f64;
         }
     }

@@ -31,9 +31,10 @@ impl Stream {
 
     /// The generator of this stream in the world with this seed.
     pub(crate) fn generator(self, seed: u64) -> Xoshiro256PlusPlus {
-        let key = self.words().iter().fold(mix(seed), |hash, &word| {
-            mix(hash ^ word.wrapping_mul(0x9e37_79b9_7f4a_7c15))
-        });
+        let key = self
+            .words()
+            .iter()
+            .fold(mix(seed), |hash, &word| mix(hash ^ word.wrapping_mul(0x9e37_79b9_7f4a_7c15)));
         Xoshiro256PlusPlus::seed_from_u64(key)
     }
 }
@@ -71,46 +72,13 @@ mod tests {
         let names = [
             (1, Stream::Patches),
             (2, Stream::Patches),
-            (
-                1,
-                Stream::Noise {
-                    channel: 0,
-                    exposure: 1,
-                },
-            ),
-            (
-                1,
-                Stream::Noise {
-                    channel: 1,
-                    exposure: 0,
-                },
-            ),
-            (
-                1,
-                Stream::Trajectory {
-                    species: 0,
-                    emitter: 1,
-                },
-            ),
-            (
-                1,
-                Stream::Trajectory {
-                    species: 1,
-                    emitter: 0,
-                },
-            ),
-            (
-                1,
-                Stream::Placement {
-                    species: 0,
-                    shape: 1,
-                },
-            ),
+            (1, Stream::Noise { channel: 0, exposure: 1 }),
+            (1, Stream::Noise { channel: 1, exposure: 0 }),
+            (1, Stream::Trajectory { species: 0, emitter: 1 }),
+            (1, Stream::Trajectory { species: 1, emitter: 0 }),
+            (1, Stream::Placement { species: 0, shape: 1 }),
         ];
-        let mut first: Vec<u64> = names
-            .iter()
-            .map(|(seed, name)| name.generator(*seed).next_u64())
-            .collect();
+        let mut first: Vec<u64> = names.iter().map(|(seed, name)| name.generator(*seed).next_u64()).collect();
         first.sort_unstable();
         first.dedup();
         assert_eq!(first.len(), names.len());

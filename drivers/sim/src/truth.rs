@@ -131,9 +131,7 @@ impl Truth {
             transmitted_from_reflected: scene
                 .view()
                 .transmitted_from_reflected(scene.height_px(), scene.width_px()),
-            species: (0..scene.species().len())
-                .map(|i| species_truth(world, i))
-                .collect(),
+            species: (0..scene.species().len()).map(|i| species_truth(world, i)).collect(),
             patches: patch_truths(world),
         }
     }
@@ -160,23 +158,14 @@ impl Truth {
     }
 
     fn check(&self) -> Result<(), TruthError> {
-        let value = |key: &str, found: String| {
-            Err(TruthError::Value {
-                key: key.into(),
-                found,
-            })
-        };
+        let value = |key: &str, found: String| Err(TruthError::Value { key: key.into(), found });
         if self.pixel_pitch_nm.is_nan() || self.pixel_pitch_nm <= 0.0 {
             return value("pixel_pitch_nm", self.pixel_pitch_nm.to_string());
         }
         if self.species.is_empty() {
             return value("species", "empty".into());
         }
-        match self
-            .patches
-            .iter()
-            .find(|patch| patch.species >= self.species.len())
-        {
+        match self.patches.iter().find(|patch| patch.species >= self.species.len()) {
             Some(patch) => value("patches.species", patch.species.to_string()),
             None => Ok(()),
         }
@@ -193,21 +182,11 @@ impl Truth {
 
     /// The places of one species, prepared for many questions.
     pub(crate) fn outline(&self, species: usize) -> Outline<'_> {
-        let shapes = self
-            .species
-            .get(species)
-            .map_or(&[][..], |species| &species.shapes);
+        let shapes = self.species.get(species).map_or(&[][..], |species| &species.shapes);
         Outline {
             axes: shapes.iter().filter_map(Shape::axis).collect(),
-            areas: shapes
-                .iter()
-                .filter(|shape| shape.axis().is_none())
-                .collect(),
-            patches: self
-                .patches
-                .iter()
-                .filter(|patch| patch.species == species)
-                .collect(),
+            areas: shapes.iter().filter(|shape| shape.axis().is_none()).collect(),
+            patches: self.patches.iter().filter(|patch| patch.species == species).collect(),
         }
     }
 }
@@ -223,37 +202,22 @@ pub(crate) struct Outline<'t> {
 impl Outline<'_> {
     /// As [`Truth::distance_px`].
     pub(crate) fn distance(&self, point: [f64; 2]) -> f64 {
-        let areas = self
-            .areas
-            .iter()
-            .map(|shape| shape.distance_from_area(point));
-        let patches = self
-            .patches
-            .iter()
-            .map(|patch| (between(patch.center_px, point) - patch.radius_px).max(0.0));
-        let axis = self
-            .nearest_axis(point)
-            .map_or(f64::INFINITY, |nearest| nearest.distance);
+        let areas = self.areas.iter().map(|shape| shape.distance_from_area(point));
+        let patches =
+            self.patches.iter().map(|patch| (between(patch.center_px, point) - patch.radius_px).max(0.0));
+        let axis = self.nearest_axis(point).map_or(f64::INFINITY, |nearest| nearest.distance);
         areas.chain(patches).fold(axis, f64::min)
     }
 
     /// The nearest place on an axis, if the species has any.
     pub(crate) fn nearest_axis(&self, point: [f64; 2]) -> Option<Nearest> {
-        self.axes
-            .iter()
-            .map(|axis| axis.nearest(point))
-            .min_by(|a, b| a.distance.total_cmp(&b.distance))
+        self.axes.iter().map(|axis| axis.nearest(point)).min_by(|a, b| a.distance.total_cmp(&b.distance))
     }
 }
 
 fn species_truth(world: &World, index: usize) -> SpeciesTruth {
     let species = &world.scene().species()[index];
-    let own = || {
-        world
-            .emitters()
-            .iter()
-            .filter(move |emitter| emitter.species == index)
-    };
+    let own = || world.emitters().iter().filter(move |emitter| emitter.species == index);
     SpeciesTruth {
         name: species.name.clone(),
         transmission: species.transmission,
@@ -276,10 +240,7 @@ fn species_truth(world: &World, index: usize) -> SpeciesTruth {
 
 fn patch_truths(world: &World) -> Vec<PatchTruth> {
     let pitch_nm = world.scene().optics().pixel_pitch_nm;
-    let radius_px = world
-        .scene()
-        .patch_grid()
-        .map_or(0.0, |grid| grid.radius_nm / pitch_nm);
+    let radius_px = world.scene().patch_grid().map_or(0.0, |grid| grid.radius_nm / pitch_nm);
     world
         .patches()
         .iter()

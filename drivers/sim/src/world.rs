@@ -75,16 +75,8 @@ impl World {
     pub fn new(scene: &Scene, seed: u64) -> Self {
         let (emitters, patches) = place(scene, seed);
         let activity = Activity::new(&emitters, scene.frames(), seed);
-        let optical_paths =
-            Channel::BOTH.map(|channel| OpticalPath::new(scene, channel, &emitters));
-        Self {
-            scene: scene.clone(),
-            seed,
-            emitters,
-            patches,
-            activity,
-            optical_paths,
-        }
+        let optical_paths = Channel::BOTH.map(|channel| OpticalPath::new(scene, channel, &emitters));
+        Self { scene: scene.clone(), seed, emitters, patches, activity, optical_paths }
     }
 
     /// The scene of this world.
@@ -147,11 +139,7 @@ impl World {
         reflected: &mut [u16],
         transmitted: &mut [u16],
     ) -> Result<(), WorldError> {
-        let Some(last) = exposures
-            .end
-            .checked_sub(1)
-            .filter(|&last| last >= exposures.start)
-        else {
+        let Some(last) = exposures.end.checked_sub(1).filter(|&last| last >= exposures.start) else {
             self.check(0, 0, reflected.len())?;
             return self.check(0, 0, transmitted.len());
         };
@@ -183,29 +171,17 @@ impl World {
     fn check(&self, last: u64, number: u64, found: usize) -> Result<(), WorldError> {
         let frames = self.scene.frames();
         if last >= frames {
-            return Err(WorldError::BeyondEnd {
-                exposure: last,
-                frames,
-            });
+            return Err(WorldError::BeyondEnd { exposure: last, frames });
         }
         let expected = (number as usize).saturating_mul(self.scene.num_pixels());
-        if found == expected {
-            Ok(())
-        } else {
-            Err(WorldError::WrongLength { expected, found })
-        }
+        if found == expected { Ok(()) } else { Err(WorldError::WrongLength { expected, found }) }
     }
 
     fn light(&self, channel: Channel, exposure: ExposureIndex, photons: &mut [f32]) {
         let path = &self.optical_paths[index(channel)];
         photons.copy_from_slice(&path.steady);
         for &(emitter, on_fraction) in self.activity.of(exposure) {
-            path.spots.add(
-                emitter as usize,
-                on_fraction,
-                photons,
-                self.scene.width_px(),
-            );
+            path.spots.add(emitter as usize, on_fraction, photons, self.scene.width_px());
         }
     }
 
@@ -214,17 +190,12 @@ impl World {
             /// Photons of the frame in work; kept by each thread, so that frames need no new memory.
             static PHOTONS: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
         }
-        let stream = Stream::Noise {
-            channel: index(channel) as u64,
-            exposure: exposure.0,
-        };
+        let stream = Stream::Noise { channel: index(channel) as u64, exposure: exposure.0 };
         let mut rng = stream.generator(self.seed);
         PHOTONS.with_borrow_mut(|photons| {
             photons.resize(counts.len(), 0.0);
             self.light(channel, exposure, photons);
-            self.optical_paths[index(channel)]
-                .digitizer
-                .draw(photons, &mut rng, counts);
+            self.optical_paths[index(channel)].digitizer.draw(photons, &mut rng, counts);
         });
     }
 }
@@ -254,11 +225,7 @@ impl OpticalPath {
             }
         }
         let digitizer = Digitizer::new(scene.cameras()[index(channel)], background);
-        Self {
-            steady,
-            spots,
-            digitizer,
-        }
+        Self { steady, spots, digitizer }
     }
 }
 
@@ -268,15 +235,9 @@ fn spot(scene: &Scene, channel: Channel, emitter: &Emitter) -> Spot {
     let sigma_px = species.sigma_px(scene.optics());
     let position_px = emitter.position_px;
     match channel {
-        Channel::Reflected => Spot {
-            position_px,
-            sigma_px,
-            photons: emitter.photons * species.reflection,
-        },
+        Channel::Reflected => Spot { position_px, sigma_px, photons: emitter.photons * species.reflection },
         Channel::Transmitted => Spot {
-            position_px: scene
-                .view()
-                .apply(position_px, scene.height_px(), scene.width_px()),
+            position_px: scene.view().apply(position_px, scene.height_px(), scene.width_px()),
             sigma_px: sigma_px * scene.view().scale,
             photons: emitter.photons * species.transmission,
         },
@@ -296,10 +257,7 @@ impl Activity {
                     return Vec::new();
                 }
                 let species = emitter.species as u64;
-                let stream = Stream::Trajectory {
-                    species,
-                    emitter: emitter.number,
-                };
+                let stream = Stream::Trajectory { species, emitter: emitter.number };
                 let generator = stream.generator(seed);
                 on_fractions(OnIntervals::new(emitter.kinetics, frames as f64, generator))
             })

@@ -47,17 +47,13 @@ fn world(text: &str, seed: u64) -> World {
 
 fn photons(world: &World, channel: Channel, exposure: u64) -> Vec<f32> {
     let mut plane = vec![0.0; world.scene().num_pixels()];
-    world
-        .photons_at(channel, ExposureIndex(exposure), &mut plane)
-        .unwrap();
+    world.photons_at(channel, ExposureIndex(exposure), &mut plane).unwrap();
     plane
 }
 
 fn frame(world: &World, channel: Channel, exposure: u64) -> Vec<u16> {
     let mut counts = vec![0; world.scene().num_pixels()];
-    world
-        .frame(channel, ExposureIndex(exposure), &mut counts)
-        .unwrap();
+    world.frame(channel, ExposureIndex(exposure), &mut counts).unwrap();
     counts
 }
 
@@ -70,11 +66,7 @@ fn mean_intensity_is_on_ratio_times_photons_and_splits_as_asked() {
     let frames = 400;
     let world = world(&scene_text(frames, 0.0, "", BLINKING), 3);
     let emitters = world.truth().species[0].num_emitters as f64;
-    let total = |channel| {
-        (0..frames)
-            .map(|k| sum(&photons(&world, channel, k)))
-            .sum::<f64>()
-    };
+    let total = |channel| (0..frames).map(|k| sum(&photons(&world, channel, k))).sum::<f64>();
     let (reflected, transmitted) = (total(Channel::Reflected), total(Channel::Transmitted));
     let mean_on = (reflected + transmitted) / (400.0 * emitters * frames as f64);
     // Variance of the time average of a two-state process: 2 rho (1 - rho) tau_c / duration.
@@ -91,10 +83,7 @@ fn the_first_exposure_is_as_bright_as_the_last() {
     let error = (0.1 * 0.9 / emitters).sqrt();
     for exposure in [0, 1, 150, 299] {
         let on = sum(&photons(&world, Channel::Reflected, exposure)) / (400.0 * 0.65 * emitters);
-        assert!(
-            (on - 0.1).abs() < 4.0 * error,
-            "exposure {exposure}: {on} +- {error}"
-        );
+        assert!((on - 0.1).abs() < 4.0 * error, "exposure {exposure}: {on} +- {error}");
     }
 }
 
@@ -107,16 +96,14 @@ fn brightness_decays_with_the_bleaching_time() {
         let on = sum(&photons(&world, Channel::Reflected, exposure)) / (400.0 * 0.65 * emitters);
         let expected = 0.1 * (-(exposure as f64 + 0.5) * 0.02 / 4.0).exp();
         let error = (expected / emitters).sqrt();
-        assert!(
-            (on - expected).abs() < 4.0 * error,
-            "exposure {exposure}: {on}"
-        );
+        assert!((on - expected).abs() < 4.0 * error, "exposure {exposure}: {on}");
     }
 }
 
 #[test]
 fn background_is_split_and_counted_as_the_cameras_are_built() {
-    let camera = "[camera]\ngain_counts_per_electron = 2.0\nquantum_efficiency = 0.8\nread_noise_electrons = 1.5";
+    let camera =
+        "[camera]\ngain_counts_per_electron = 2.0\nquantum_efficiency = 0.8\nread_noise_electrons = 1.5";
     let world = world(&scene_text(20, 40.0, camera, "steady = true"), 6);
     for (channel, light) in [(Channel::Reflected, 30.0), (Channel::Transmitted, 10.0)] {
         let counts: Vec<f64> = (0..20)
@@ -125,11 +112,7 @@ fn background_is_split_and_counted_as_the_cameras_are_built() {
             .collect();
         let n = counts.len() as f64;
         let mean = counts.iter().sum::<f64>() / n;
-        let variance = counts
-            .iter()
-            .map(|count| (count - mean).powi(2))
-            .sum::<f64>()
-            / n;
+        let variance = counts.iter().map(|count| (count - mean).powi(2)).sum::<f64>() / n;
         let electrons = 0.8 * light;
         let expected = 4.0 * (electrons + 1.5 * 1.5) + 1.0 / 12.0;
         assert!((mean - 100.0 - 2.0 * electrons).abs() < 4.0 * (expected / n).sqrt());
@@ -140,37 +123,23 @@ fn background_is_split_and_counted_as_the_cameras_are_built() {
 #[test]
 fn both_cameras_have_their_own_noise_and_each_exposure_too() {
     // With equal light in both, one stream for both would give the same frame twice.
-    let text = scene_text(2, 20.0, "", "steady = true").replace(
-        "background_transmission = 0.25",
-        "background_transmission = 0.5",
-    );
+    let text = scene_text(2, 20.0, "", "steady = true")
+        .replace("background_transmission = 0.25", "background_transmission = 0.5");
     let world = world(&text, 6);
-    assert_ne!(
-        frame(&world, Channel::Reflected, 0),
-        frame(&world, Channel::Reflected, 1)
-    );
+    assert_ne!(frame(&world, Channel::Reflected, 0), frame(&world, Channel::Reflected, 1));
     let [reflected, transmitted] = Channel::BOTH.map(|channel| {
         let counts = frame(&world, channel, 0)[..SIDE * 12].to_vec();
         let mean = counts.iter().map(|&c| f64::from(c)).sum::<f64>() / counts.len() as f64;
-        counts
-            .into_iter()
-            .map(|c| f64::from(c) - mean)
-            .collect::<Vec<f64>>()
+        counts.into_iter().map(|c| f64::from(c) - mean).collect::<Vec<f64>>()
     });
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let norm = (dot(&reflected, &reflected) * dot(&transmitted, &transmitted)).sqrt();
     let correlation = dot(&reflected, &transmitted) / norm;
-    assert!(
-        correlation.abs() < 4.0 / (reflected.len() as f64).sqrt(),
-        "{correlation}"
-    );
+    assert!(correlation.abs() < 4.0 / (reflected.len() as f64).sqrt(), "{correlation}");
 }
 
 fn blocks(threads: usize, order: &[u64]) -> Vec<u16> {
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .unwrap();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     pool.install(|| {
         let world = world(&scene_text(40, 5.0, "", BLINKING), 9);
         let pixels = world.scene().num_pixels();
@@ -179,11 +148,7 @@ fn blocks(threads: usize, order: &[u64]) -> Vec<u16> {
         for &first in order {
             let place = first as usize * pixels..(first as usize + 10) * pixels;
             world
-                .render_block(
-                    first..first + 10,
-                    &mut reflected[place.clone()],
-                    &mut transmitted[place],
-                )
+                .render_block(first..first + 10, &mut reflected[place.clone()], &mut transmitted[place])
                 .unwrap();
         }
         all
@@ -218,12 +183,8 @@ fn camera_t_sees_each_bead_where_the_view_puts_it() {
             "[camera.transmitted.view]\nmirror = \"{mirror}\"\nshift_px = [2.5, -1.25]\nrotation_deg = 5.0\nscale = 1.02"
         );
         let text = scene_text(1, 0.0, &view, "steady = true");
-        let one_bead =
-            "[[species.random]]\nemitters = 1\nfrom_px = [19.0, 27.0]\nto_px = [21.0, 29.0]\n";
-        let text = format!(
-            "{}{one_bead}",
-            text.split_once("[[species.filament]]").unwrap().0
-        );
+        let one_bead = "[[species.random]]\nemitters = 1\nfrom_px = [19.0, 27.0]\nto_px = [21.0, 29.0]\n";
+        let text = format!("{}{one_bead}", text.split_once("[[species.filament]]").unwrap().0);
         let world = world(&text, 8);
         let truth = world.truth();
         let bead = truth.species[0].positions_px[0];
@@ -233,17 +194,14 @@ fn camera_t_sees_each_bead_where_the_view_puts_it() {
                 plane
                     .iter()
                     .enumerate()
-                    .map(|(pixel, &light)| {
-                        f64::from(light) * [pixel / SIDE, pixel % SIDE][axis] as f64
-                    })
+                    .map(|(pixel, &light)| f64::from(light) * [pixel / SIDE, pixel % SIDE][axis] as f64)
                     .sum::<f64>()
                     / sum(&plane)
             };
             [moment(0), moment(1)]
         };
-        let close = |found: [f64; 2], wanted: [f64; 2]| {
-            (found[0] - wanted[0]).hypot(found[1] - wanted[1]) < 1e-3
-        };
+        let close =
+            |found: [f64; 2], wanted: [f64; 2]| (found[0] - wanted[0]).hypot(found[1] - wanted[1]) < 1e-3;
         assert!(close(centroid(Channel::Reflected), bead));
         // By hand: rotation and scale about (23.5, 23.5), shift, mirror.
         let (sin, cos) = 5.0_f64.to_radians().sin_cos();
@@ -252,10 +210,7 @@ fn camera_t_sees_each_bead_where_the_view_puts_it() {
         let moved_x = 1.02 * (-sin * dy + cos * dx) - 1.25;
         let flip_y = if mirror == "vertical" { -1.0 } else { 1.0 };
         let wanted = [23.5 + flip_y * moved_y, 23.5 + sign * moved_x];
-        assert!(
-            close(centroid(Channel::Transmitted), wanted),
-            "{mirror}: {wanted:?}"
-        );
+        assert!(close(centroid(Channel::Transmitted), wanted), "{mirror}: {wanted:?}");
         let [row_y, row_x] = truth.transmitted_from_reflected;
         let by_truth = [row_y, row_x].map(|[a_y, a_x, b]| a_y * bead[0] + a_x * bead[1] + b);
         assert!(close(by_truth, wanted));
@@ -266,25 +221,13 @@ fn camera_t_sees_each_bead_where_the_view_puts_it() {
 fn figure_2_ramps_photons_and_on_ratio() {
     let scene = Scene::from_toml(Scene::built_in("figure-2").unwrap()).unwrap();
     let truth = World::new(&scene.with_frames(1).unwrap(), 1).truth();
-    let (first, last) = (
-        truth.patches.first().unwrap(),
-        truth.patches.last().unwrap(),
-    );
+    let (first, last) = (truth.patches.first().unwrap(), truth.patches.last().unwrap());
     assert_eq!((first.i_on_photons, first.on_ratio), (200.0, 0.01));
     assert_eq!((last.i_on_photons, last.on_ratio), (1100.0, 0.1));
-    let emitters: u64 = truth
-        .species
-        .iter()
-        .map(|species| species.num_emitters)
-        .sum();
+    let emitters: u64 = truth.species.iter().map(|species| species.num_emitters).sum();
     assert_eq!(emitters, 2 * truth.patches.len() as u64);
     // Three species at random over 529 patches: 176 each, with a spread of 11.
-    assert!(
-        truth
-            .species
-            .iter()
-            .all(|species| (266..=440).contains(&species.num_emitters))
-    );
+    assert!(truth.species.iter().all(|species| (266..=440).contains(&species.num_emitters)));
     let patch = truth.patches[100];
     let [y, x] = patch.center_px;
     assert_eq!(truth.distance_px(patch.species, y, x), 0.0);
@@ -300,13 +243,7 @@ fn the_cell_and_the_beads_shine() {
             let brightest = frame(&world, channel, 1).into_iter().max().unwrap();
             assert!((250..u16::MAX).contains(&brightest), "{name}: {brightest}");
         }
-        assert!(
-            world
-                .truth()
-                .species
-                .iter()
-                .all(|species| species.num_emitters > 100)
-        );
+        assert!(world.truth().species.iter().all(|species| species.num_emitters > 100));
     }
 }
 
@@ -316,32 +253,16 @@ fn requests_beyond_the_scene_are_refused() {
     let pixels = world.scene().num_pixels();
     let mut counts = vec![0; pixels];
     let late = world.frame(Channel::Reflected, ExposureIndex(10), &mut counts);
-    assert_eq!(
-        late,
-        Err(WorldError::BeyondEnd {
-            exposure: 10,
-            frames: 10
-        })
-    );
+    assert_eq!(late, Err(WorldError::BeyondEnd { exposure: 10, frames: 10 }));
     let huge = world.frame(Channel::Reflected, ExposureIndex(u64::MAX), &mut counts);
     assert!(matches!(huge, Err(WorldError::BeyondEnd { .. })));
     let small = world.frame(Channel::Reflected, ExposureIndex(0), &mut counts[1..]);
-    assert_eq!(
-        small,
-        Err(WorldError::WrongLength {
-            expected: pixels,
-            found: pixels - 1
-        })
-    );
+    assert_eq!(small, Err(WorldError::WrongLength { expected: pixels, found: pixels - 1 }));
     let mut other = counts.clone();
     assert!(world.render_block(9..11, &mut counts, &mut other).is_err());
     assert!(world.render_block(0..2, &mut counts, &mut other).is_err());
     assert!(world.render_block(5..5, &mut [], &mut []).is_ok());
-    assert!(
-        world
-            .render_block(0..u64::MAX, &mut counts, &mut other)
-            .is_err()
-    );
+    assert!(world.render_block(0..u64::MAX, &mut counts, &mut other).is_err());
 }
 
 #[test]
@@ -350,22 +271,10 @@ fn truth_survives_its_file() {
     assert_eq!(Truth::from_json(&truth.to_json().unwrap()).unwrap(), truth);
     assert!(matches!(Truth::from_json("{}"), Err(TruthError::Json(_))));
     assert!(matches!(Truth::from_json("[[["), Err(TruthError::Json(_))));
-    let newer = truth
-        .to_json()
-        .unwrap()
-        .replacen("\"format\": 1", "\"format\": 2", 1);
-    assert!(matches!(
-        Truth::from_json(&newer),
-        Err(TruthError::Format(2))
-    ));
-    let flat = Truth {
-        pixel_pitch_nm: -1.0,
-        ..truth
-    };
-    assert!(matches!(
-        Truth::from_json(&flat.to_json().unwrap()),
-        Err(TruthError::Value { .. })
-    ));
+    let newer = truth.to_json().unwrap().replacen("\"format\": 1", "\"format\": 2", 1);
+    assert!(matches!(Truth::from_json(&newer), Err(TruthError::Format(2))));
+    let flat = Truth { pixel_pitch_nm: -1.0, ..truth };
+    assert!(matches!(Truth::from_json(&flat.to_json().unwrap()), Err(TruthError::Value { .. })));
 }
 
 #[test]
@@ -380,19 +289,12 @@ fn distance_is_measured_from_the_axis() {
 fn a_drawing_is_filled_as_it_says() {
     let drawing = "[[species.drawing]]\nfrom_px = [10.0, 10.0]\ncell_px = 6.0\nrows = [\"9.3\", \"...\"]\ndensity_per_um2 = 10000.0\n";
     let text = scene_text(1, 0.0, "", "steady = true");
-    let text = format!(
-        "{}{drawing}",
-        text.split_once("[[species.filament]]").unwrap().0
-    );
+    let text = format!("{}{drawing}", text.split_once("[[species.filament]]").unwrap().0);
     let truth = world(&text, 8).truth();
     let positions = &truth.species[0].positions_px;
     // Four thirds of a cell of 36 px of (0.108 um)^2.
     assert_eq!(positions.len(), 5599);
-    assert!(
-        positions
-            .iter()
-            .all(|&[y, x]| truth.distance_px(0, y, x) == 0.0)
-    );
+    assert!(positions.iter().all(|&[y, x]| truth.distance_px(0, y, x) == 0.0));
     let left = positions.iter().filter(|[_, x]| *x < 16.0).count() as f64;
     let error = (0.25 * 0.75 * 5599.0_f64).sqrt();
     assert!((left - 0.75 * 5599.0).abs() < 4.0 * error, "{left}");

@@ -10,6 +10,9 @@ use super::layout::{Layout, for_each_register, load_row};
 use super::moments::RunMoments;
 use super::plan::{PlacedSet, Plan};
 
+/// Spectral channels of order 2 with the most channels that an engine takes.
+const MOST_PAIRS: usize = 10;
+
 /// Number of result planes: cumulants by sub-position and spectral channel, then means, then variances.
 pub(super) fn result_planes(plan: &Plan) -> usize {
     plan.accumulators(plan.order) + 2 * plan.algebra.channels()
@@ -36,7 +39,10 @@ pub(super) fn add_results(
                         *sum += (weight * value) as f32;
                     }
                 };
-                cumulants(plan, layout, moments, (y, x), &mut scratch, &mut add);
+                match plan.order {
+                    2 => pair_cumulants(plan, layout, moments, (y, x), &scratch.shares, &mut add),
+                    _ => cumulants(plan, layout, moments, (y, x), &mut scratch, &mut add),
+                }
                 means_and_variances(plan, layout, moments, (y, x), &mut add);
             });
         },
@@ -48,6 +54,8 @@ struct Scratch {
     moments: Vec<Polynomial>,
     cumulants: Vec<Polynomial>,
     total: Polynomial,
+    /// One over the number of ways to share a tuple among the channels, per spectral channel.
+    shares: Vec<f64>,
 }
 
 impl Scratch {
@@ -55,7 +63,47 @@ impl Scratch {
         let of_mask = |mask: usize| vec![[0.0; LANES]; plan.algebra.coefficients(mask.count_ones() as usize)];
         let all: Vec<Polynomial> = (0..1 << plan.order).map(of_mask).collect();
         let total = vec![[0.0; LANES]; plan.algebra.coefficients(plan.order)];
-        Self { moments: all.clone(), cumulants: all, total }
+        let ways = |u| if plan.symmetric() { plan.algebra.multiplicity(plan.order, u) } else { 1.0 };
+        let shares = (0..total.len()).map(|u| 1.0 / ways(u)).collect();
+        Self { moments: all.clone(), cumulants: all, total, shares }
+    }
+}
+
+/// Order 2, where `kappa = m(ab) - m(a) m(b)`.
+#[inline(always)]
+fn pair_cumulants(
+    plan: &Plan,
+    layout: &Layout,
+    moments: &RunMoments,
+    (y, x): (i64, i64),
+    shares: &[f64],
+    add: &mut impl FnMut(usize, &Lanes),
+) {
+    let (algebra, per_sample) = (&plan.algebra, 1.0 / moments.samples as f64);
+    let channels = algebra.channels();
+    for term in &plan.groups[2] {
+        let mut total = [[0.0; LANES]; MOST_PAIRS];
+        for (coefficient, total) in total.iter_mut().enumerate().take(shares.len()) {
+            *total = moments.sums(layout, 2, term.first + coefficient, y, x);
+        }
+        for set in &term.sets {
+            let [a, b] = [set.subsets[1], set.subsets[2]];
+            let ((ya, xa), (yb, xb)) = (a.seen_from(y, x), b.seen_from(y, x));
+            for channel_a in 0..channels {
+                let sum_a = moments.sums(layout, 1, a.first + channel_a, ya, xa);
+                for channel_b in if plan.symmetric() { 0 } else { channel_a }..channels {
+                    let sum_b = moments.sums(layout, 1, b.first + channel_b, yb, xb);
+                    let total = &mut total[algebra.product_index(1, 1, channel_a, channel_b)];
+                    for lane in 0..LANES {
+                        total[lane] -= sum_a[lane] * sum_b[lane] * per_sample;
+                    }
+                }
+            }
+        }
+        for (coefficient, (total, share)) in total.iter().zip(shares).enumerate() {
+            let scale = per_sample * share / term.sets.len() as f64;
+            add(term.first + coefficient, &total.map(|value| value * scale));
+        }
     }
 }
 
@@ -79,9 +127,7 @@ fn cumulants(
             subtract_products_of_subsets(plan, scratch);
         }
         for (coefficient, total) in scratch.total.iter().enumerate() {
-            let ways =
-                if plan.symmetric() { plan.algebra.multiplicity(plan.order, coefficient) } else { 1.0 };
-            let share = 1.0 / (ways * term.sets.len() as f64);
+            let share = scratch.shares[coefficient] / term.sets.len() as f64;
             add(term.first + coefficient, &total.map(|value| value * share));
         }
     }
@@ -110,11 +156,8 @@ fn load_moments(
 /// Takes one set's lower-order products off the total, which starts as the sum of the full products of all sets.
 #[inline(always)]
 fn subtract_products_of_subsets(plan: &Plan, scratch: &mut Scratch) {
-    let Scratch { moments, cumulants, total } = scratch;
+    let Scratch { moments, cumulants, total, .. } = scratch;
     let full = (1usize << plan.order) - 1;
-    if !plan.symmetric() {
-        return subtract_ordered_products(&moments[1], &moments[2], total);
-    }
     for mask in (1..full).step_by(2) {
         let (smaller, rest) = cumulants.split_at_mut(mask);
         rest[0].clone_from(&moments[mask]);
@@ -138,13 +181,6 @@ fn subtract_proper_subsets(
         let (cumulant, moment) =
             ((&cumulants[part][..], size(part)), (&moments[left_out][..], size(left_out)));
         plan.algebra.add_product(cumulant, moment, -1.0, kappa);
-    }
-}
-
-/// Pairs whose first pixel is from the first channel: RR, RT and TT without TR.
-fn subtract_ordered_products(first: &[Lanes], second: &[Lanes], total: &mut [Lanes]) {
-    for (total, (a, b)) in total.iter_mut().zip([(0, 0), (0, 1), (1, 1)]) {
-        (0..LANES).for_each(|lane| total[lane] -= first[a][lane] * second[b][lane]);
     }
 }
 

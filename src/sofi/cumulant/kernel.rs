@@ -9,6 +9,7 @@
 
 use super::layout::Layout;
 use super::plan::{Plan, Term};
+use super::prefetch::prefetch;
 use crate::sofi::grid::Combinations;
 use pulp::{Arch, Simd, WithSimd};
 use std::cell::RefCell;
@@ -38,10 +39,10 @@ impl Count for f32 {
 pub(super) type Planes<'a, T> = Vec<&'a [T]>;
 
 /// The most numbers that a tile may hold, so that it stays in the second-level cache.
-const TILE_NUMBERS: usize = 224 * 1024;
+const TILE_NUMBERS: usize = 160 * 1024;
 
 /// Columns of a tile.
-const TILE_COLUMNS: usize = 2048;
+const TILE_COLUMNS: usize = 128;
 
 thread_local! {
     static TILE: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
@@ -58,13 +59,7 @@ pub(super) struct Block<'a, T> {
 
 /// Adds all samples of a block to the sums of one band; `sums[group]` as laid out by [`Layout`].
 pub(super) fn accumulate<T: Count>(block: &Block<'_, T>, band: usize, sums: &mut [&mut [f32]]) {
-    TILE.with_borrow_mut(|numbers| {
-        let columns = block.layout.stride.min(TILE_COLUMNS);
-        for start in (0..block.layout.stride).step_by(columns) {
-            let end = block.layout.stride.min(start + columns);
-            dispatch(TileWork { block, band, columns: start..end, numbers, sums });
-        }
-    });
+    TILE.with_borrow_mut(|numbers| dispatch(BandWork { block, band, numbers, sums }));
 }
 
 /// Runs the work on the widest registers this processor has.
@@ -75,11 +70,10 @@ fn dispatch(work: impl WithSimd<Output = ()>) {
     }
 }
 
-/// One tile of one band: some columns with their halo, all exposures of the block.
-struct TileWork<'a, 'b, T> {
+/// The work on one band: its tiles one after another, each with all exposures of the block.
+struct BandWork<'a, 'b, T> {
     block: &'a Block<'a, T>,
     band: usize,
-    columns: Range<usize>,
     numbers: &'a mut Vec<f32>,
     sums: &'a mut [&'b mut [f32]],
 }
@@ -92,29 +86,99 @@ struct Strides {
     row: usize,
 }
 
-impl<T: Count> WithSimd for TileWork<'_, '_, T> {
+impl<T: Count> WithSimd for BandWork<'_, '_, T> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { block, band, columns, numbers, sums } = self;
-        let (plan, rows) = (block.plan, block.layout.rows(band));
-        let row = plan.halo.left + columns.len() + plan.halo.right;
-        let plane = row * (plan.halo.up + rows.len() + plan.halo.down);
-        let strides = Strides { frame: plane * plan.lags.len() * block.reference.len(), plane, row };
-        let frames = (TILE_NUMBERS / strides.frame).clamp(4, 32);
-        numbers.resize(numbers.len().max(frames * strides.frame), 0.0);
+        let Self { block, band, numbers, sums } = self;
+        let (plan, layout) = (block.plan, block.layout);
+        let cutting = Cutting::new(block, band);
+        let strides = cutting.strides;
+        numbers.resize(numbers.len().max(cutting.frames * strides.frame), 0.0);
         let deltas = Deltas::new(plan, strides);
-        for samples in block.samples.chunks(frames) {
-            fill_tile(block, rows.clone(), columns.clone(), strides, samples, numbers);
+        for part in 0..cutting.parts() {
+            let (columns, samples) = cutting.part(part);
+            let samples = &block.samples[samples];
+            fill_tile(block, layout.rows(band), columns.clone(), strides, samples, numbers);
             let tile = Tile {
                 numbers: &numbers[..samples.len() * strides.frame],
                 strides,
-                origin: plan.halo.up * row + plan.halo.left,
+                origin: plan.halo.up * strides.row + plan.halo.left,
                 channels: block.reference.len(),
             };
-            let target = Target { rows: rows.len(), columns: columns.clone(), layout: block.layout };
-            sum_tile(simd, plan, &deltas, &tile, &target, sums);
+            let target = Target { rows: layout.rows(band).len(), columns, layout };
+            let mut upcoming = Upcoming::new(block, band, &cutting, part + 1);
+            sum_tile(simd, plan, &deltas, &tile, &target, &mut upcoming, sums);
+        }
+    }
+}
+
+/// How the columns of a band and the samples of a block are cut into parts, samples fastest.
+struct Cutting {
+    strides: Strides,
+    columns: usize,
+    width: usize,
+    frames: usize,
+    samples: usize,
+}
+
+impl Cutting {
+    fn new<T>(block: &Block<'_, T>, band: usize) -> Self {
+        let (plan, width) = (block.plan, block.layout.stride);
+        let columns = width.min(TILE_COLUMNS);
+        let row = plan.halo.left + columns + plan.halo.right;
+        let plane = row * (plan.halo.up + block.layout.rows(band).len() + plan.halo.down);
+        let strides = Strides { frame: plane * plan.lags.len() * block.reference.len(), plane, row };
+        let frames = (TILE_NUMBERS / strides.frame).clamp(4, 32);
+        Self { strides, columns, width, frames, samples: block.samples.len() }
+    }
+
+    fn parts(&self) -> usize {
+        self.width.div_ceil(self.columns) * self.samples.div_ceil(self.frames)
+    }
+
+    fn part(&self, part: usize) -> (Range<usize>, Range<usize>) {
+        let per_tile = self.samples.div_ceil(self.frames);
+        let (column, sample) = (part / per_tile * self.columns, part % per_tile * self.frames);
+        (column..self.width.min(column + self.columns), sample..self.samples.min(sample + self.frames))
+    }
+}
+
+/// The pixels that the next part will need, brought closer row by row while this part is summed.
+struct Upcoming<'a, T> {
+    samples: &'a [Planes<'a, T>],
+    rows: Range<usize>,
+    columns: Range<usize>,
+    width: usize,
+    next: usize,
+    per_step: usize,
+}
+
+impl<'a, T> Upcoming<'a, T> {
+    fn new(block: &'a Block<'a, T>, band: usize, cutting: &Cutting, part: usize) -> Self {
+        let layout = block.layout;
+        let (part, band) = if part < cutting.parts() { (part, band) } else { (0, band + 1) };
+        let (columns, samples) = cutting.part(part);
+        let rows = layout.rows(band.min(layout.bands() - 1));
+        let samples = if band < layout.bands() { &block.samples[samples] } else { &[] };
+        let steps = rows.len() * (columns.len() / super::layout::COLUMN_PADDING);
+        let columns = columns.start..layout.width.min(columns.end);
+        let planes = samples.len() * samples.first().map_or(0, Vec::len);
+        let per_step = (planes * rows.len()).div_ceil(steps.max(1));
+        Self { samples, rows, columns, width: layout.width, next: 0, per_step }
+    }
+
+    /// Prefetches a fair share of the rows.
+    #[inline(always)]
+    fn step(&mut self) {
+        for _ in 0..self.per_step {
+            let planes = self.samples.first().map_or(1, Vec::len);
+            let (image, row) = (self.next / self.rows.len(), self.next % self.rows.len());
+            let Some(sample) = self.samples.get(image / planes) else { return };
+            let start = (self.rows.start + row) * self.width;
+            prefetch(&sample[image % planes][start + self.columns.start..start + self.columns.end]);
+            self.next += 1;
         }
     }
 }
@@ -205,12 +269,13 @@ impl Deltas {
 }
 
 #[inline(always)]
-fn sum_tile<S: Simd>(
+fn sum_tile<S: Simd, T: Count>(
     simd: S,
     plan: &Plan,
     deltas: &Deltas,
     tile: &Tile<'_>,
     target: &Target,
+    upcoming: &mut Upcoming<'_, T>,
     sums: &mut [&mut [f32]],
 ) {
     let plane = target.rows * target.layout.stride;
@@ -218,6 +283,7 @@ fn sum_tile<S: Simd>(
         plan.order == 2 && plan.lags.len() == 1 && plan.combinations == Combinations::AllClosest;
     for y in 0..target.rows {
         for x in (0..target.columns.len()).step_by(S::F32_LANES) {
+            upcoming.step();
             let pixel = tile.origin + y * tile.strides.row + x;
             let place = y * target.layout.stride + target.columns.start + x;
             match (second_order, tile.channels) {

@@ -29,6 +29,7 @@ mod kernel;
 mod layout;
 mod moments;
 mod plan;
+mod prefetch;
 mod settings;
 mod workers;
 

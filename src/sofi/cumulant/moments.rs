@@ -9,7 +9,7 @@
 use super::algebra::{LANES, Lanes};
 use super::kernel::{Block, Count, Planes, accumulate};
 use super::layout::{Layout, for_each_register, load_row};
-use super::plan::{PlacedSet, Plan};
+use super::plan::{Element, PlacedSet, Plan};
 use super::workers::Workers;
 
 /// Samples that an `f32` sum takes before it is moved to `f64`.
@@ -240,17 +240,14 @@ fn shift_sums<T: Sum>(
     shifts: &[Vec<f32>],
     samples: u64,
 ) {
-    for degree in
-        (1..=plan.order).rev().flat_map(|degree| if degree == 1 { vec![0, 1] } else { vec![degree] })
-    {
-        let (before, rest) = groups.split_at_mut(degree.max(1));
-        let shift = Shift { plan, layout, shifts, samples: samples as f64 };
-        if degree == 0 {
-            workers.for_each(&mut before[0], |band, sums| shift.squares(&rest[0], band, sums));
-        } else {
-            workers.for_each(&mut rest[0], |band, sums| shift.terms(before, degree, band, sums));
-        }
+    let shift = Shift { plan, layout, shifts, samples: samples as f64 };
+    for degree in (2..=plan.order).rev() {
+        let (smaller, current) = groups.split_at_mut(degree);
+        workers.for_each(&mut current[0], |band, sums| shift.terms(smaller, degree, band, sums));
     }
+    let (squares, rest) = groups.split_at_mut(1);
+    workers.for_each(&mut squares[0], |band, sums| shift.squares(&rest[0], band, sums));
+    workers.for_each(&mut rest[0], |band, sums| shift.terms(squares, 1, band, sums));
 }
 
 /// One change of reference.
@@ -277,6 +274,12 @@ impl Shift<'_> {
     }
 
     fn terms<T: Sum>(&self, smaller: &[Vec<Vec<T>>], degree: usize, band: usize, sums: &mut [T]) {
+        if degree == 2 {
+            return pulp::Arch::new().dispatch(
+                #[inline(always)]
+                || self.pairs(&smaller[1], band, sums),
+            );
+        }
         let coefficients = self.plan.algebra.coefficients(degree);
         let mut moved = Products::default();
         for term in &self.plan.groups[degree] {
@@ -294,6 +297,40 @@ impl Shift<'_> {
         }
     }
 
+    /// Pairs: the new sum is the old one less `shift_b S_a` and `shift_a S'_b`, `S'` the sum about the new reference.
+    #[inline(always)]
+    fn pairs<T: Sum>(&self, first_moments: &[Vec<T>], band: usize, sums: &mut [T]) {
+        let (algebra, plane) = (&self.plan.algebra, self.layout.plane_len(band));
+        let channels = algebra.channels();
+        let shares: Vec<(usize, usize, usize)> = (0..channels)
+            .flat_map(|a| (0..channels).map(move |b| (a, b)))
+            .filter(|(a, b)| self.plan.symmetric() || a <= b)
+            .map(|(a, b)| (a, b, algebra.product_index(1, 1, a, b)))
+            .collect();
+        for term in &self.plan.groups[2] {
+            for set in &term.sets {
+                let [a, b] = [0, 1].map(|pixel| set.elements[pixel]);
+                let [first_a, first_b] = [1, 2].map(|mask| set.subsets[mask].first);
+                for_each_register(self.layout, band, |y, x, place| {
+                    let at = |e: Element| (y + i64::from(e.dy), x + i64::from(e.dx));
+                    let ((ya, xa), (yb, xb)) = (at(a), at(b));
+                    for &(channel_a, channel_b, coefficient) in &shares {
+                        let sum_a = self.layout.load(first_moments, first_a + channel_a, ya, xa);
+                        let sum_b = self.layout.load(first_moments, first_b + channel_b, yb, xb);
+                        let shift_a = self.shift(channel_a, ya, xa);
+                        let shift_b = self.shift(channel_b, yb, xb);
+                        let start = (term.first + coefficient) * plane + place;
+                        for (lane, sum) in sums[start..start + LANES].iter_mut().enumerate() {
+                            let new_b = sum_b[lane] - self.samples * shift_b[lane];
+                            let moved = shift_b[lane] * sum_a[lane] + shift_a[lane] * new_b;
+                            *sum = T::rounded((*sum).into() - moved);
+                        }
+                    }
+                });
+            }
+        }
+    }
+
     /// What the change of reference adds to one set's sum at one register of pixels.
     #[inline(always)]
     fn move_set<T: Sum>(
@@ -304,9 +341,6 @@ impl Shift<'_> {
         products: &mut Products,
     ) {
         let degree = set.elements.len();
-        if degree == 2 && !self.plan.symmetric() {
-            return self.move_ordered_pair(set, &smaller[1], (y, x), products);
-        }
         let algebra = &self.plan.algebra;
         reset(&mut products.total, algebra.coefficients(degree));
         for kept in 0..set.subsets.len() {
@@ -345,32 +379,6 @@ impl Shift<'_> {
         let (y, x) = place.seen_from(y, x);
         let coefficients = place.first..place.first + self.plan.algebra.coefficients(size);
         product.extend(coefficients.map(|accumulator| self.layout.load(&smaller[size], accumulator, y, x)));
-    }
-
-    /// The same for a pair whose first pixel comes from the channel that stands first.
-    fn move_ordered_pair<T: Sum>(
-        &self,
-        set: &PlacedSet,
-        first_moments: &[Vec<T>],
-        (y, x): (i64, i64),
-        products: &mut Products,
-    ) {
-        products.total.clear();
-        for (a, b) in [(0, 0), (0, 1), (1, 1)] {
-            let pixel = |index: usize| {
-                let element = set.elements[index];
-                (y + i64::from(element.dy), x + i64::from(element.dx))
-            };
-            let ((ya, xa), (yb, xb)) = (pixel(0), pixel(1));
-            let (sum_a, sum_b) =
-                (self.layout.load(first_moments, a, ya, xa), self.layout.load(first_moments, b, yb, xb));
-            let (shift_a, shift_b) = (self.shift(a, ya, xa), self.shift(b, yb, xb));
-            products.total.push(std::array::from_fn(|lane| {
-                self.samples * shift_a[lane] * shift_b[lane]
-                    - sum_a[lane] * shift_b[lane]
-                    - shift_a[lane] * sum_b[lane]
-            }));
-        }
     }
 
     #[inline(always)]

@@ -14,12 +14,10 @@ pub(crate) type Cell = (usize, usize, f64);
 /// The filled cells of a drawing.
 pub(crate) fn cells(rows: &[String]) -> impl Iterator<Item = Cell> {
     rows.iter().enumerate().flat_map(|(row, text)| {
-        text.chars()
-            .enumerate()
-            .filter_map(move |(column, letter)| {
-                let ninths = letter.to_digit(10).filter(|&digit| digit > 0)?;
-                Some((row, column, f64::from(ninths)))
-            })
+        text.chars().enumerate().filter_map(move |(column, letter)| {
+            let ninths = letter.to_digit(10).filter(|&digit| digit > 0)?;
+            Some((row, column, f64::from(ninths)))
+        })
     })
 }
 
@@ -30,11 +28,7 @@ pub(super) fn full_cells(rows: &[String]) -> f64 {
 
 /// Distance of a point from the nearest filled cell, in cells; the point counts from the corner of the first one.
 pub(super) fn distance_in_cells(rows: &[String], point: [f64; 2]) -> f64 {
-    let beyond = |first: usize, place: f64| {
-        (first as f64 - place)
-            .max(place - first as f64 - 1.0)
-            .max(0.0)
-    };
+    let beyond = |first: usize, place: f64| (first as f64 - place).max(place - first as f64 - 1.0).max(0.0);
     cells(rows)
         .map(|(row, column, _)| beyond(row, point[0]).hypot(beyond(column, point[1])))
         .fold(f64::INFINITY, f64::min)

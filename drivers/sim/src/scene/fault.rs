@@ -46,12 +46,7 @@ impl SceneError {
 
     /// An error of one fault that belongs to no line.
     pub(crate) fn single(key: &str, message: String, remedy: &str) -> Self {
-        Self::new(vec![Fault {
-            line: None,
-            key: key.into(),
-            message,
-            remedy: remedy.into(),
-        }])
+        Self::new(vec![Fault { line: None, key: key.into(), message, remedy: remedy.into() }])
     }
 }
 

@@ -21,20 +21,12 @@ pub(crate) struct Faults<'t> {
 
 impl<'t> Faults<'t> {
     pub(crate) fn new(text: &'t str) -> Self {
-        Self {
-            text,
-            list: RefCell::new(Vec::new()),
-        }
+        Self { text, list: RefCell::new(Vec::new()) }
     }
 
     pub(crate) fn note(&self, byte: Option<usize>, key: &str, message: String, remedy: String) {
         let line = byte.map(|byte| self.line_of(byte));
-        self.list.borrow_mut().push(Fault {
-            line,
-            key: key.into(),
-            message,
-            remedy,
-        });
+        self.list.borrow_mut().push(Fault { line, key: key.into(), message, remedy });
     }
 
     fn line_of(&self, byte: usize) -> usize {
@@ -59,30 +51,17 @@ pub(crate) struct Form<'t> {
 impl<'t> Form<'t> {
     pub(crate) fn new(table: &'t Spanned<DeTable<'t>>, faults: &'t Faults<'t>) -> Self {
         let asked = RefCell::default();
-        Self {
-            table: table.get_ref(),
-            path: String::new(),
-            byte: None,
-            asked,
-            faults,
-        }
+        Self { table: table.get_ref(), path: String::new(), byte: None, asked, faults }
     }
 
     /// The dotted name of a key of this table.
     fn name(&self, key: &str) -> String {
-        if self.path.is_empty() {
-            key.into()
-        } else {
-            format!("{}.{key}", self.path)
-        }
+        if self.path.is_empty() { key.into() } else { format!("{}.{key}", self.path) }
     }
 
     fn find(&self, key: &'static str) -> Option<&'t Spanned<DeValue<'t>>> {
         self.asked.borrow_mut().push(key);
-        self.table
-            .iter()
-            .find(|(name, _)| name.get_ref() == key)
-            .map(|(_, value)| value)
+        self.table.iter().find(|(name, _)| name.get_ref() == key).map(|(_, value)| value)
     }
 
     pub(crate) fn has(&self, key: &'static str) -> bool {
@@ -93,8 +72,7 @@ impl<'t> Form<'t> {
     pub(crate) fn fault(&self, key: &str, message: impl Into<String>, remedy: impl Into<String>) {
         let found = self.table.iter().find(|(name, _)| name.get_ref() == key);
         let byte = found.map(|(name, _)| name.span().start).or(self.byte);
-        self.faults
-            .note(byte, &self.name(key), message.into(), remedy.into());
+        self.faults.note(byte, &self.name(key), message.into(), remedy.into());
     }
 
     fn missing(&self, key: &str, wanted: &str) {
@@ -102,11 +80,7 @@ impl<'t> Form<'t> {
     }
 
     fn wrong_kind(&self, key: &str, found: &DeValue<'_>, wanted: &str) {
-        self.fault(
-            key,
-            format!("is a {}", found.type_str()),
-            format!("give {wanted}"),
-        );
+        self.fault(key, format!("is a {}", found.type_str()), format!("give {wanted}"));
     }
 
     /// A number within limits, or a fault.
@@ -122,21 +96,11 @@ impl<'t> Form<'t> {
     }
 
     /// A number within limits if the key is there.
-    pub(crate) fn number_if_any(
-        &self,
-        key: &'static str,
-        limits: RangeInclusive<f64>,
-    ) -> Option<f64> {
-        self.find(key)
-            .map(|value| self.checked_number(key, value.get_ref(), &limits))
+    pub(crate) fn number_if_any(&self, key: &'static str, limits: RangeInclusive<f64>) -> Option<f64> {
+        self.find(key).map(|value| self.checked_number(key, value.get_ref(), &limits))
     }
 
-    pub(crate) fn number_or(
-        &self,
-        key: &'static str,
-        default: f64,
-        limits: RangeInclusive<f64>,
-    ) -> f64 {
+    pub(crate) fn number_or(&self, key: &'static str, default: f64, limits: RangeInclusive<f64>) -> f64 {
         self.number_if_any(key, limits).unwrap_or(default)
     }
 
@@ -148,11 +112,7 @@ impl<'t> Form<'t> {
         if limits.contains(&number) {
             return number;
         }
-        self.fault(
-            key,
-            format!("is {number}"),
-            format!("give {}", within(limits)),
-        );
+        self.fault(key, format!("is {number}"), format!("give {}", within(limits)));
         *limits.start()
     }
 
@@ -236,31 +196,16 @@ impl<'t> Form<'t> {
     }
 
     /// Two numbers within limits if the key is there.
-    pub(crate) fn pair_if_any(
-        &self,
-        key: &'static str,
-        limits: RangeInclusive<f64>,
-    ) -> Option<[f64; 2]> {
-        self.find(key)
-            .map(|value| self.checked_pair(key, value.get_ref(), &limits))
+    pub(crate) fn pair_if_any(&self, key: &'static str, limits: RangeInclusive<f64>) -> Option<[f64; 2]> {
+        self.find(key).map(|value| self.checked_pair(key, value.get_ref(), &limits))
     }
 
-    fn checked_pair(
-        &self,
-        key: &str,
-        value: &DeValue<'_>,
-        limits: &RangeInclusive<f64>,
-    ) -> [f64; 2] {
+    fn checked_pair(&self, key: &str, value: &DeValue<'_>, limits: &RangeInclusive<f64>) -> [f64; 2] {
         let numbers: Vec<f64> = match value.as_array() {
-            Some(array) => array
-                .iter()
-                .filter_map(|item| as_number(item.get_ref()))
-                .collect(),
+            Some(array) => array.iter().filter_map(|item| as_number(item.get_ref())).collect(),
             None => Vec::new(),
         };
-        let complete = value
-            .as_array()
-            .is_some_and(|array| array.len() == numbers.len());
+        let complete = value.as_array().is_some_and(|array| array.len() == numbers.len());
         match numbers[..] {
             [a, b] if complete && limits.contains(&a) && limits.contains(&b) => [a, b],
             _ => {
@@ -273,24 +218,14 @@ impl<'t> Form<'t> {
 
     /// A list of at least two points, or a fault.
     pub(crate) fn points(&self, key: &'static str, limits: RangeInclusive<f64>) -> Vec<[f64; 2]> {
-        let wanted = format!(
-            "a list of 2 to 1000 points [y, x], each number {}",
-            within(&limits)
-        );
+        let wanted = format!("a list of 2 to 1000 points [y, x], each number {}", within(&limits));
         match self.find(key).map(Spanned::get_ref) {
             None => self.missing(key, &wanted),
             Some(DeValue::Array(items)) if (2..=1000).contains(&items.len()) => {
-                return items
-                    .iter()
-                    .map(|item| self.checked_pair(key, item.get_ref(), &limits))
-                    .collect();
+                return items.iter().map(|item| self.checked_pair(key, item.get_ref(), &limits)).collect();
             }
             Some(DeValue::Array(_)) => {
-                self.fault(
-                    key,
-                    "has too few or too many points",
-                    format!("give {wanted}"),
-                );
+                self.fault(key, "has too few or too many points", format!("give {wanted}"));
             }
             Some(other) => self.wrong_kind(key, other, &wanted),
         }
@@ -353,13 +288,7 @@ impl<'t> Form<'t> {
     }
 
     fn inner(&self, table: &'t DeTable<'t>, byte: usize, path: String) -> Self {
-        Self {
-            table,
-            path,
-            byte: Some(byte),
-            asked: RefCell::default(),
-            faults: self.faults,
-        }
+        Self { table, path, byte: Some(byte), asked: RefCell::default(), faults: self.faults }
     }
 
     /// Notes every key that no one asked for, with the nearest known one.
@@ -379,10 +308,7 @@ fn nearest(name: &str, known: &[&'static str]) -> String {
     known
         .iter()
         .max_by(|a, b| likeness(a).total_cmp(&likeness(b)))
-        .map_or_else(
-            || "remove it".into(),
-            |key| format!("remove it, or write `{key}` if that was meant"),
-        )
+        .map_or_else(|| "remove it".into(), |key| format!("remove it, or write `{key}` if that was meant"))
 }
 
 fn within(limits: &RangeInclusive<f64>) -> String {

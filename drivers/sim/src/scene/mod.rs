@@ -30,6 +30,8 @@ const MAX_TEXT_BYTES: usize = 1 << 20;
 pub(crate) const MAX_EMITTERS: u64 = 1_000_000;
 /// A scene whose emitters shine in more exposures in all is refused; each takes 8 bytes.
 const MAX_LIT_EXPOSURES: f64 = 1.5e8;
+/// A scene whose spots need more profile values on one camera is refused; each takes 4 bytes.
+const MAX_PROFILE_VALUES: f64 = 1.5e8;
 const MAX_FRAMES: u64 = 1_000_000;
 const MAX_SIDE_PX: u64 = 4096;
 const MIN_SIDE_PX: u64 = 8;
@@ -63,33 +65,20 @@ impl Scene {
     pub fn from_toml(text: &str) -> Result<Self, SceneError> {
         if text.len() > MAX_TEXT_BYTES {
             let message = format!("is {} bytes long", text.len());
-            return Err(SceneError::single(
-                "",
-                message,
-                "give a file of at most 1 MiB",
-            ));
+            return Err(SceneError::single("", message, "give a file of at most 1 MiB"));
         }
         let faults = Faults::new(text);
         let (document, errors) = DeTable::parse_recoverable(text);
         for error in &errors {
             let byte = error.span().map(|span| span.start);
-            faults.note(
-                byte,
-                "",
-                error.message().to_owned(),
-                "correct the TOML syntax".into(),
-            );
+            faults.note(byte, "", error.message().to_owned(), "correct the TOML syntax".into());
         }
         if !errors.is_empty() {
             return Err(SceneError::new(faults.into_list()));
         }
         let scene = read_scene(&document, &faults);
         let list = faults.into_list();
-        if list.is_empty() {
-            Ok(scene)
-        } else {
-            Err(SceneError::new(list))
-        }
+        if list.is_empty() { Ok(scene) } else { Err(SceneError::new(list)) }
     }
 
     /// The same scene with another number of frames; what all of them share stays the same.
@@ -97,10 +86,7 @@ impl Scene {
     /// # Errors
     /// When `frames` is 0, above one million, or makes the scene too large.
     pub fn with_frames(&self, frames: u64) -> Result<Self, SceneError> {
-        let scene = Self {
-            frames,
-            ..self.clone()
-        };
+        let scene = Self { frames, ..self.clone() };
         if !(1..=MAX_FRAMES).contains(&frames) {
             let remedy = "give a whole number from 1 to 1000000";
             return Err(SceneError::single("frames", format!("is {frames}"), remedy));
@@ -203,17 +189,14 @@ impl Scene {
 
     fn num_emitters(&self, species: &Species) -> u64 {
         let pitch_nm = self.optics.pixel_pitch_nm;
-        species.shapes.iter().fold(0, |sum: u64, shape| {
-            sum.saturating_add(shape.num_emitters(pitch_nm))
-        })
+        species.shapes.iter().fold(0, |sum: u64, shape| sum.saturating_add(shape.num_emitters(pitch_nm)))
     }
 
     /// Why this scene is too large to simulate, if it is.
     fn excess(&self) -> Option<String> {
         let in_patches = self.patch_grid.as_ref().map_or(0, |grid| {
             let [rows, columns] = grid.size();
-            rows.saturating_mul(columns)
-                .saturating_mul(grid.emitters_per_patch)
+            rows.saturating_mul(columns).saturating_mul(grid.emitters_per_patch)
         });
         let mut emitters = in_patches;
         let mut lit = in_patches as f64 * self.frames as f64;
@@ -225,17 +208,24 @@ impl Scene {
         if emitters > MAX_EMITTERS {
             return Some(format!("gives {emitters} emitters, above {MAX_EMITTERS}"));
         }
-        (lit > MAX_LIT_EXPOSURES)
-            .then(|| format!("lets emitters shine in {lit:.1e} exposures, above 1.5e8"))
+        // A row and a column profile, each ten standard deviations long.
+        let values = emitters as f64 * (20.0 * self.widest_sigma_px() + 2.0);
+        if values > MAX_PROFILE_VALUES {
+            return Some(format!("gives {emitters} emitters with spots too wide to keep in memory"));
+        }
+        (lit > MAX_LIT_EXPOSURES).then(|| format!("lets emitters shine in {lit:.1e} exposures, above 1.5e8"))
+    }
+
+    /// Standard deviation of the widest spot on either camera.
+    fn widest_sigma_px(&self) -> f64 {
+        let sigmas = self.species.iter().map(|species| species.sigma_px(&self.optics));
+        sigmas.fold(0.0, f64::max) * self.view.scale.max(1.0)
     }
 
     /// Mean number of exposures in which an emitter shines at all.
     fn lit_exposures(&self, species: &Species) -> f64 {
         let kinetics = species.kinetics(self.exposure_ms);
-        let alive = kinetics
-            .bleaching
-            .unwrap_or(f64::INFINITY)
-            .min(self.frames as f64);
+        let alive = kinetics.bleaching.unwrap_or(f64::INFINITY).min(self.frames as f64);
         match kinetics.switching {
             // Steady light that never ends is computed once.
             None if kinetics.bleaching.is_none() => 0.0,
@@ -255,10 +245,7 @@ fn read_scene<'t>(document: &'t toml::Spanned<DeTable<'t>>, faults: &'t Faults<'
     let width_px = form.whole("width_px", MIN_SIDE_PX..=MAX_SIDE_PX) as usize;
     let optics = read_optics(&form);
     let (cameras, view) = read_cameras(&form);
-    let field = [
-        [-0.5, -0.5],
-        [height_px as f64 - 0.5, width_px as f64 - 0.5],
-    ];
+    let field = [[-0.5, -0.5], [height_px as f64 - 0.5, width_px as f64 - 0.5]];
     let patch_grid = form.table("patch_grid").map(|grid_form| {
         let grid = PatchGrid::read(&grid_form);
         grid_form.finish();
@@ -291,10 +278,7 @@ fn read_optics(form: &Form<'_>) -> Optics {
         if !form.has("optics") {
             form.fault("optics", "is missing", "add a table `[optics]`");
         }
-        return Optics {
-            pixel_pitch_nm: 100.0,
-            numerical_aperture: 1.0,
-        };
+        return Optics { pixel_pitch_nm: 100.0, numerical_aperture: 1.0 };
     };
     let optics = Optics::read(&table);
     table.finish();
@@ -342,11 +326,7 @@ fn read_species(
             );
         }
         if all.iter().any(|other| other.name == species.name) {
-            species_form.fault(
-                "name",
-                "is taken by another species",
-                "give each its own name",
-            );
+            species_form.fault("name", "is taken by another species", "give each its own name");
         }
         let steady = species.photophysics == Photophysics::Steady;
         if steady && patch_grid.is_some_and(|grid| grid.on_ratio.is_some()) {
@@ -357,36 +337,19 @@ fn read_species(
         species_form.finish();
     }
     if all.is_empty() {
-        form.fault(
-            "species",
-            "has no entry",
-            "add a table `[[species]]` for each fluorophore",
-        );
+        form.fault("species", "has no entry", "add a table `[[species]]` for each fluorophore");
     }
     all
 }
 
 /// Checks that need the whole scene.
 fn check_species(form: &Form<'_>, scene: &Scene) {
-    for species in &scene.species {
-        let sigma_px = species.sigma_px(&scene.optics) * scene.view.scale.max(1.0);
-        if sigma_px > MAX_SIGMA_PX {
-            let message = format!(
-                "gives a spot of {sigma_px:.1} px standard deviation for {}",
-                species.name
-            );
-            form.fault(
-                "optics",
-                message,
-                "give a larger pitch or aperture, at most 20 px",
-            );
-        }
+    let sigma_px = scene.widest_sigma_px();
+    if sigma_px > MAX_SIGMA_PX {
+        let message = format!("gives spots of {sigma_px:.1} px standard deviation");
+        form.fault("optics", message, "give a larger pitch or aperture, for 20 px at most");
     }
     if let Some(message) = scene.excess() {
-        form.fault(
-            "species",
-            message,
-            "give fewer frames, lower densities or smaller shapes",
-        );
+        form.fault("species", message, "give fewer frames, lower densities or smaller shapes");
     }
 }

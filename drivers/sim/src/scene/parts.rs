@@ -49,10 +49,7 @@ impl Photophysics {
     pub fn on_ratio(self) -> f64 {
         match self {
             Self::Steady => 1.0,
-            Self::Blinking {
-                tau_on_ms,
-                tau_off_ms,
-            } => tau_on_ms / (tau_on_ms + tau_off_ms),
+            Self::Blinking { tau_on_ms, tau_off_ms } => tau_on_ms / (tau_on_ms + tau_off_ms),
         }
     }
 }
@@ -84,11 +81,7 @@ impl Species {
     /// Standard deviation of its image on camera R, pixels.
     #[must_use]
     pub fn sigma_px(&self, optics: &Optics) -> f64 {
-        let psf = psf_sigma_px(
-            self.emission_nm,
-            optics.numerical_aperture,
-            optics.pixel_pitch_nm,
-        );
+        let psf = psf_sigma_px(self.emission_nm, optics.numerical_aperture, optics.pixel_pitch_nm);
         let diameter_px = self.diameter_nm / optics.pixel_pitch_nm;
         (psf * psf + diameter_px * diameter_px / 20.0).sqrt()
     }
@@ -97,18 +90,11 @@ impl Species {
     pub(crate) fn kinetics(&self, exposure_ms: f64) -> Kinetics {
         let switching = match self.photophysics {
             Photophysics::Steady => None,
-            Photophysics::Blinking {
-                tau_on_ms,
-                tau_off_ms,
-            } => Some(Switching {
-                on: tau_on_ms / exposure_ms,
-                off: tau_off_ms / exposure_ms,
-            }),
+            Photophysics::Blinking { tau_on_ms, tau_off_ms } => {
+                Some(Switching { on: tau_on_ms / exposure_ms, off: tau_off_ms / exposure_ms })
+            }
         };
-        Kinetics {
-            switching,
-            bleaching: self.tau_bleach_s.map(|tau_s| tau_s * 1e3 / exposure_ms),
-        }
+        Kinetics { switching, bleaching: self.tau_bleach_s.map(|tau_s| tau_s * 1e3 / exposure_ms) }
     }
 
     pub(super) fn read(form: &Form<'_>, exposure_ms: f64, field: [[f64; 2]; 2]) -> Self {
@@ -183,10 +169,7 @@ impl PatchGrid {
     #[must_use]
     pub fn size(&self) -> [u64; 2] {
         [0, 1].map(|axis| {
-            ((self.to_px[axis] - self.from_px[axis]) / self.spacing_px + 1e-9)
-                .floor()
-                .max(0.0) as u64
-                + 1
+            ((self.to_px[axis] - self.from_px[axis]) / self.spacing_px + 1e-9).floor().max(0.0) as u64 + 1
         })
     }
 
@@ -201,11 +184,7 @@ impl PatchGrid {
             on_ratio: form.pair_if_any("on_ratio", 1e-4..=0.99),
         };
         if grid.to_px[0] < grid.from_px[0] || grid.to_px[1] < grid.from_px[1] {
-            form.fault(
-                "to_px",
-                "is not beyond `from_px`",
-                "give the corner of greater y and x",
-            );
+            form.fault("to_px", "is not beyond `from_px`", "give the corner of greater y and x");
         }
         grid
     }
@@ -261,11 +240,7 @@ impl CameraModel {
                 1e-3..=1000.0,
             ),
             offset_counts: number("offset_counts", default.offset_counts, 0.0..=60_000.0),
-            read_noise_electrons: number(
-                "read_noise_electrons",
-                default.read_noise_electrons,
-                0.0..=1000.0,
-            ),
+            read_noise_electrons: number("read_noise_electrons", default.read_noise_electrons, 0.0..=1000.0),
             dark_electrons_per_exposure: number(
                 "dark_electrons_per_exposure",
                 default.dark_electrons_per_exposure,
@@ -308,27 +283,17 @@ pub struct View {
 impl Default for View {
     /// Both cameras see the same.
     fn default() -> Self {
-        Self {
-            mirror: Mirror::None,
-            shift_px: [0.0; 2],
-            rotation_deg: 0.0,
-            scale: 1.0,
-        }
+        Self { mirror: Mirror::None, shift_px: [0.0; 2], rotation_deg: 0.0, scale: 1.0 }
     }
 }
 
 impl View {
     pub(super) fn read(form: &Form<'_>) -> Self {
-        let mirrors = [
-            ("none", Mirror::None),
-            ("horizontal", Mirror::Horizontal),
-            ("vertical", Mirror::Vertical),
-        ];
+        let mirrors =
+            [("none", Mirror::None), ("horizontal", Mirror::Horizontal), ("vertical", Mirror::Vertical)];
         Self {
             mirror: form.word("mirror", &mirrors),
-            shift_px: form
-                .pair_if_any("shift_px", -10_000.0..=10_000.0)
-                .unwrap_or([0.0; 2]),
+            shift_px: form.pair_if_any("shift_px", -10_000.0..=10_000.0).unwrap_or([0.0; 2]),
             rotation_deg: form.number_or("rotation_deg", 0.0, -180.0..=180.0),
             scale: form.number_or("scale", 1.0, 0.1..=10.0),
         }
@@ -337,19 +302,13 @@ impl View {
     /// The affine map as rows `[a_y, a_x, b]` for y and x: `y_T = a_y * y_R + a_x * x_R + b`.
     #[must_use]
     pub fn transmitted_from_reflected(&self, height_px: usize, width_px: usize) -> [[f64; 3]; 2] {
-        let center = [
-            (height_px as f64 - 1.0) / 2.0,
-            (width_px as f64 - 1.0) / 2.0,
-        ];
+        let center = [(height_px as f64 - 1.0) / 2.0, (width_px as f64 - 1.0) / 2.0];
         let angle = self.rotation_deg.to_radians();
         let (sin, cos) = (self.scale * libm::sin(angle), self.scale * libm::cos(angle));
         let offset = |axis: usize, a_y: f64, a_x: f64| {
             center[axis] + self.shift_px[axis] - a_y * center[0] - a_x * center[1]
         };
-        let mut rows = [
-            [cos, sin, offset(0, cos, sin)],
-            [-sin, cos, offset(1, -sin, cos)],
-        ];
+        let mut rows = [[cos, sin, offset(0, cos, sin)], [-sin, cos, offset(1, -sin, cos)]];
         let flipped = match self.mirror {
             Mirror::None => return rows,
             Mirror::Vertical => 0,

@@ -98,38 +98,18 @@ impl Shape {
         let um2_per_px2 = (pixel_pitch_nm * 1e-3).powi(2);
         let by_density = |area_px2: f64, density: f64| (area_px2 * um2_per_px2 * density).round();
         let number = match self {
-            Self::Filament {
-                width_px,
-                density_per_um2,
-                ..
-            }
-            | Self::Curve {
-                width_px,
-                density_per_um2,
-                ..
-            }
-            | Self::Ring {
-                width_px,
-                density_per_um2,
-                ..
-            } => {
+            Self::Filament { width_px, density_per_um2, .. }
+            | Self::Curve { width_px, density_per_um2, .. }
+            | Self::Ring { width_px, density_per_um2, .. } => {
                 let length_px = self.axis().map_or(0.0, |axis| axis.length());
                 by_density(length_px * width_px, *density_per_um2)
             }
-            Self::Disc {
-                radius_px,
-                density_per_um2,
-                ..
-            } => by_density(
-                std::f64::consts::PI * radius_px * radius_px,
-                *density_per_um2,
-            ),
-            Self::Drawing {
-                cell_px,
-                rows,
-                density_per_um2,
-                ..
-            } => by_density(full_cells(rows) * cell_px * cell_px, *density_per_um2),
+            Self::Disc { radius_px, density_per_um2, .. } => {
+                by_density(std::f64::consts::PI * radius_px * radius_px, *density_per_um2)
+            }
+            Self::Drawing { cell_px, rows, density_per_um2, .. } => {
+                by_density(full_cells(rows) * cell_px * cell_px, *density_per_um2)
+            }
             Self::Blob { emitters, .. } | Self::Random { emitters, .. } => return *emitters,
         };
         number as u64
@@ -140,44 +120,22 @@ impl Shape {
         match self {
             Self::Filament { from_px, to_px, .. } => Some(Line::new(vec![*from_px, *to_px])),
             Self::Curve { points_px, .. } => Some(Line::smooth(points_px)),
-            Self::Ring {
-                center_px,
-                radius_px,
-                ..
-            } => Some(Line::ellipse(*center_px, *radius_px)),
-            Self::Disc { .. } | Self::Blob { .. } | Self::Random { .. } | Self::Drawing { .. } => {
-                None
-            }
+            Self::Ring { center_px, radius_px, .. } => Some(Line::ellipse(*center_px, *radius_px)),
+            Self::Disc { .. } | Self::Blob { .. } | Self::Random { .. } | Self::Drawing { .. } => None,
         }
     }
 
     /// Distance from a shape without an axis: 0 inside, else from its edge; a cloud ends at two sigmas.
     pub(crate) fn distance_from_area(&self, point: [f64; 2]) -> f64 {
         match self {
-            Self::Disc {
-                center_px,
-                radius_px,
-                ..
-            } => (between(*center_px, point) - radius_px).max(0.0),
-            Self::Blob {
-                center_px,
-                sigma_px,
-                ..
-            } => (between(*center_px, point) - 2.0 * sigma_px).max(0.0),
+            Self::Disc { center_px, radius_px, .. } => (between(*center_px, point) - radius_px).max(0.0),
+            Self::Blob { center_px, sigma_px, .. } => (between(*center_px, point) - 2.0 * sigma_px).max(0.0),
             Self::Random { from_px, to_px, .. } => {
-                let beyond = |axis: usize| {
-                    (from_px[axis] - point[axis])
-                        .max(point[axis] - to_px[axis])
-                        .max(0.0)
-                };
+                let beyond =
+                    |axis: usize| (from_px[axis] - point[axis]).max(point[axis] - to_px[axis]).max(0.0);
                 beyond(0).hypot(beyond(1))
             }
-            Self::Drawing {
-                from_px,
-                cell_px,
-                rows,
-                ..
-            } => {
+            Self::Drawing { from_px, cell_px, rows, .. } => {
                 let place = [0, 1].map(|axis| (point[axis] - from_px[axis]) / cell_px);
                 distance_in_cells(rows, place) * cell_px
             }
@@ -214,10 +172,7 @@ pub(super) fn read_shapes(species: &Form<'_>, field: [[f64; 2]; 2]) -> Vec<Shape
 }
 
 fn read_filament(form: &Form<'_>) -> Shape {
-    let (from_px, to_px) = (
-        form.pair("from_px", COORDINATE_PX),
-        form.pair("to_px", COORDINATE_PX),
-    );
+    let (from_px, to_px) = (form.pair("from_px", COORDINATE_PX), form.pair("to_px", COORDINATE_PX));
     Shape::Filament {
         from_px,
         to_px,
@@ -260,28 +215,17 @@ fn read_blob(form: &Form<'_>) -> Shape {
 }
 
 fn read_random(form: &Form<'_>, field: [[f64; 2]; 2]) -> Shape {
-    let from_px = form
-        .pair_if_any("from_px", COORDINATE_PX)
-        .unwrap_or(field[0]);
+    let from_px = form.pair_if_any("from_px", COORDINATE_PX).unwrap_or(field[0]);
     let to_px = form.pair_if_any("to_px", COORDINATE_PX).unwrap_or(field[1]);
     let emitters = form.whole("emitters", 1..=super::MAX_EMITTERS);
     let minimum_distance_px = form.number_or("minimum_distance_px", 0.0, 0.0..=1000.0);
     let (height, width) = (to_px[0] - from_px[0], to_px[1] - from_px[1]);
     if height <= 0.0 || width <= 0.0 {
-        form.fault(
-            "to_px",
-            "is not beyond `from_px`",
-            "give the corner of greater y and x",
-        );
+        form.fault("to_px", "is not beyond `from_px`", "give the corner of greater y and x");
     } else if minimum_distance_px > 0.0 {
         check_packing(form, height * width, emitters, minimum_distance_px);
     }
-    Shape::Random {
-        from_px,
-        to_px,
-        emitters,
-        minimum_distance_px,
-    }
+    Shape::Random { from_px, to_px, emitters, minimum_distance_px }
 }
 
 /// Discs dropped at random jam at 54.7 % of an area; up to 40 % they find a place soon.

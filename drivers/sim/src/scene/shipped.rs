@@ -10,25 +10,14 @@ macro_rules! shipped {
     };
 }
 
-const SHIPPED: &[(&str, &str)] = shipped![
-    "figure-2",
-    "figure-s4",
-    "figure-s6",
-    "figure-s7",
-    "figure-s8",
-    "figure-s10",
-    "beads",
-    "cell",
-];
+const SHIPPED: &[(&str, &str)] =
+    shipped!["figure-2", "figure-s4", "figure-s6", "figure-s7", "figure-s8", "figure-s10", "beads", "cell",];
 
 impl Scene {
     /// The text of a scene that comes with the program, such as `figure-s4`.
     #[must_use]
     pub fn built_in(name: &str) -> Option<&'static str> {
-        SHIPPED
-            .iter()
-            .find(|(shipped, _)| *shipped == name)
-            .map(|(_, text)| *text)
+        SHIPPED.iter().find(|(shipped, _)| *shipped == name).map(|(_, text)| *text)
     }
 
     /// The names of all scenes that come with the program.

@@ -28,9 +28,7 @@ density_per_um2 = 1000.0
 "#;
 
 fn faults(text: &str) -> Vec<Fault> {
-    Scene::from_toml(text)
-        .expect_err("this scene is faulty")
-        .faults
+    Scene::from_toml(text).expect_err("this scene is faulty").faults
 }
 
 fn faults_with(from: &str, to: &str) -> Vec<Fault> {
@@ -102,56 +100,16 @@ fn hostile_values_are_faults() {
         ("exposure_ms = 20.0", "exposure_ms = -1", "exposure_ms"),
         ("seed = 1", "seed = -1", "seed"),
         ("name = \"minimal\"", "name = \"\"", "name"),
-        (
-            "transmission = 0.35",
-            "transmission = 1.5",
-            "species[0].transmission",
-        ),
-        (
-            "transmission = 0.35",
-            "transmission = 0.7\nreflection = 0.7",
-            "species[0].reflection",
-        ),
-        (
-            "tau_on_ms = 20.0",
-            "tau_on_ms = 1e-9",
-            "species[0].tau_on_ms",
-        ),
-        (
-            "tau_on_ms = 20.0",
-            "tau_on_ms = 20.0\nsteady = true",
-            "species[0].tau_on_ms",
-        ),
-        (
-            "from_px = [5.0, 5.0]",
-            "from_px = [5.0]",
-            "species[0].filament[0].from_px",
-        ),
-        (
-            "from_px = [5.0, 5.0]",
-            "from_px = [nan, 1e300]",
-            "species[0].filament[0].from_px",
-        ),
-        (
-            "density_per_um2 = 1000.0",
-            "density_per_um2 = 1e12",
-            "species[0].filament[0].density_per_um2",
-        ),
-        (
-            "width_px = 0.4\ndensity_per_um2 = 1000.0",
-            "width_px = 900\ndensity_per_um2 = 1e6",
-            "species",
-        ),
-        (
-            "emission_nm = 592.0",
-            "emission_nm = [592.0]",
-            "species[0].emission_nm",
-        ),
-        (
-            "[optics]\npixel_pitch_nm = 108.0\nnumerical_aperture = 1.27",
-            "",
-            "optics",
-        ),
+        ("transmission = 0.35", "transmission = 1.5", "species[0].transmission"),
+        ("transmission = 0.35", "transmission = 0.7\nreflection = 0.7", "species[0].reflection"),
+        ("tau_on_ms = 20.0", "tau_on_ms = 1e-9", "species[0].tau_on_ms"),
+        ("tau_on_ms = 20.0", "tau_on_ms = 20.0\nsteady = true", "species[0].tau_on_ms"),
+        ("from_px = [5.0, 5.0]", "from_px = [5.0]", "species[0].filament[0].from_px"),
+        ("from_px = [5.0, 5.0]", "from_px = [nan, 1e300]", "species[0].filament[0].from_px"),
+        ("density_per_um2 = 1000.0", "density_per_um2 = 1e12", "species[0].filament[0].density_per_um2"),
+        ("width_px = 0.4\ndensity_per_um2 = 1000.0", "width_px = 900\ndensity_per_um2 = 1e6", "species"),
+        ("emission_nm = 592.0", "emission_nm = [592.0]", "species[0].emission_nm"),
+        ("[optics]\npixel_pitch_nm = 108.0\nnumerical_aperture = 1.27", "", "optics"),
         (
             "pixel_pitch_nm = 108.0\nnumerical_aperture = 1.27",
             "pixel_pitch_nm = 10\nnumerical_aperture = 0.1",
@@ -169,26 +127,19 @@ fn hostile_values_are_faults() {
         ),
     ] {
         let found = faults_with(from, to);
-        assert!(
-            found.iter().any(|fault| fault.key == key),
-            "{to}: {found:#?}"
-        );
+        assert!(found.iter().any(|fault| fault.key == key), "{to}: {found:#?}");
     }
 }
 
 #[test]
 fn texts_that_are_no_scene_are_faults() {
-    for text in [
-        "",
-        "name = ",
-        "[[[[",
-        "\u{0}",
-        "species = 3",
-        "optics = []",
-        "species = [1, 2]",
-    ] {
+    for text in ["", "name = ", "[[[[", "\u{0}", "species = 3", "optics = []", "species = [1, 2]"] {
         assert!(!faults(text).is_empty(), "{text}");
     }
+    let deep = format!("a = {}", "[".repeat(200_000));
+    assert!(!faults(&deep).is_empty());
+    let dotted = format!("{}a = 1", "a.".repeat(200_000));
+    assert!(!faults(&dotted).is_empty());
     let long = format!("# {}", "x".repeat(MAX_TEXT_BYTES));
     assert_eq!(faults(&long).len(), 1);
 }
@@ -197,17 +148,9 @@ fn texts_that_are_no_scene_are_faults() {
 fn two_species_of_one_name_and_species_without_a_place_are_faults() {
     let species = MINIMAL.split_once("[[species]]").unwrap().1;
     let twice = format!("{MINIMAL}[[species]]{species}");
-    assert!(
-        faults(&twice)
-            .iter()
-            .any(|fault| fault.key == "species[1].name")
-    );
+    assert!(faults(&twice).iter().any(|fault| fault.key == "species[1].name"));
     let nowhere = MINIMAL.split_once("[[species.filament]]").unwrap().0;
-    assert!(
-        faults(nowhere)
-            .iter()
-            .any(|fault| fault.key == "species[0].filament")
-    );
+    assert!(faults(nowhere).iter().any(|fault| fault.key == "species[0].filament"));
 }
 
 #[test]
@@ -217,10 +160,7 @@ fn keys_of_one_camera_go_before_those_of_both() {
         "[camera]\noffset_counts = 200.0\n[camera.transmitted]\noffset_counts = 300.0\n[[species]]",
     );
     let scene = Scene::from_toml(&text).unwrap();
-    assert_eq!(
-        scene.cameras().map(|camera| camera.offset_counts),
-        [200.0, 300.0]
-    );
+    assert_eq!(scene.cameras().map(|camera| camera.offset_counts), [200.0, 300.0]);
 }
 
 #[test]
@@ -233,29 +173,14 @@ fn frames_can_be_changed_within_limits() {
 
 #[test]
 fn the_view_rotates_and_scales_then_shifts_then_mirrors() {
-    let turned = View {
-        rotation_deg: 90.0,
-        scale: 2.0,
-        ..View::default()
-    };
-    let at = |view: &View, point| {
-        view.apply(point, 11, 21)
-            .map(|x: f64| (x * 1e9).round() / 1e9)
-    };
+    let turned = View { rotation_deg: 90.0, scale: 2.0, ..View::default() };
+    let at = |view: &View, point| view.apply(point, 11, 21).map(|x: f64| (x * 1e9).round() / 1e9);
     // The center is (5, 10); x turns towards y.
     assert_eq!(at(&turned, [5.0, 11.0]), [7.0, 10.0]);
     assert_eq!(at(&turned, [6.0, 10.0]), [5.0, 8.0]);
-    let shifted = View {
-        shift_px: [1.0, 3.0],
-        mirror: Mirror::Horizontal,
-        ..View::default()
-    };
+    let shifted = View { shift_px: [1.0, 3.0], mirror: Mirror::Horizontal, ..View::default() };
     assert_eq!(at(&shifted, [2.0, 4.0]), [3.0, 13.0]);
-    let upside_down = View {
-        shift_px: [1.0, 3.0],
-        mirror: Mirror::Vertical,
-        ..View::default()
-    };
+    let upside_down = View { shift_px: [1.0, 3.0], mirror: Mirror::Vertical, ..View::default() };
     assert_eq!(at(&upside_down, [2.0, 4.0]), [7.0, 7.0]);
 }
 

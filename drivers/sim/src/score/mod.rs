@@ -33,10 +33,7 @@ impl Plane<'_> {
     /// Camera position `[y, x]` of a pixel given by its place in `pixels`.
     pub(crate) fn position(&self, pixel: usize) -> [f64; 2] {
         let fold = self.fold as f64;
-        [
-            (pixel / self.width) as f64 / fold,
-            (pixel % self.width) as f64 / fold,
-        ]
+        [(pixel / self.width) as f64 / fold, (pixel % self.width) as f64 / fold]
     }
 }
 
@@ -52,9 +49,7 @@ pub enum ScoreError {
         found: usize,
     },
     /// An image has no size, a size that differs from the others, or another number of pixels than its size says.
-    #[error(
-        "image {0} does not have the size of the first image, or not as many pixels as its size says"
-    )]
+    #[error("image {0} does not have the size of the first image, or not as many pixels as its size says")]
     Size(usize),
     /// No valid pixel lies on a species and away from all others.
     #[error("no pixel lies on `{0}` and far enough from all other species")]
@@ -104,10 +99,7 @@ pub fn crosstalk_percent(truth: &Truth, images: &[Plane<'_>]) -> Result<Vec<Vec<
 
 fn relative_percent(above: &[f64], own: usize, name: &str) -> Result<Vec<f64>, ScoreError> {
     if above[own] > 0.0 {
-        Ok(above
-            .iter()
-            .map(|mean| 100.0 * (mean / above[own]))
-            .collect())
+        Ok(above.iter().map(|mean| 100.0 * (mean / above[own])).collect())
     } else {
         Err(ScoreError::NoSignal(name.into()))
     }

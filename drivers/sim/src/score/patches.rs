@@ -70,10 +70,7 @@ fn brightest(means: &[f64]) -> Option<usize> {
 
 /// Mean of each image over the core of a patch; NaN without a valid pixel.
 fn core_means(patch: &PatchTruth, images: &[Plane<'_>]) -> Vec<f64> {
-    images
-        .iter()
-        .map(|image| core_mean(patch.center_px, image))
-        .collect()
+    images.iter().map(|image| core_mean(patch.center_px, image)).collect()
 }
 
 fn core_mean(center_px: [f64; 2], image: &Plane<'_>) -> f64 {

@@ -22,22 +22,15 @@ pub(super) struct Regions {
 impl Regions {
     pub(super) fn new(truth: &Truth, images: &[Plane<'_>]) -> Result<Self, ScoreError> {
         check_images(truth, images)?;
-        let outlines: Vec<Outline<'_>> = (0..truth.species.len())
-            .map(|species| truth.outline(species))
-            .collect();
-        let mut regions = Self {
-            of_species: vec![Vec::new(); outlines.len()],
-            background: Vec::new(),
-        };
+        let outlines: Vec<Outline<'_>> =
+            (0..truth.species.len()).map(|species| truth.outline(species)).collect();
+        let mut regions = Self { of_species: vec![Vec::new(); outlines.len()], background: Vec::new() };
         let Some(grid) = images.first() else {
             return Ok(regions);
         };
         for pixel in 0..grid.pixels.len() {
             let point = grid.position(pixel);
-            let distances: Vec<f64> = outlines
-                .iter()
-                .map(|outline| outline.distance(point))
-                .collect();
+            let distances: Vec<f64> = outlines.iter().map(|outline| outline.distance(point)).collect();
             if distances.iter().all(|&distance| distance >= BACKGROUND_PX) {
                 regions.background.push(pixel);
             }
@@ -49,12 +42,7 @@ impl Regions {
     }
 
     /// Mean of an image over the pixels of a species.
-    pub(super) fn mean_of(
-        &self,
-        species: usize,
-        image: &Plane<'_>,
-        name: &str,
-    ) -> Result<f64, ScoreError> {
+    pub(super) fn mean_of(&self, species: usize, image: &Plane<'_>, name: &str) -> Result<f64, ScoreError> {
         mean_and_deviation(image, &self.of_species[species])
             .map(|(mean, _)| mean)
             .ok_or_else(|| ScoreError::NothingOf(name.into()))
@@ -69,13 +57,8 @@ impl Regions {
 /// The species a place belongs to, if it belongs to one alone.
 fn alone(distances: &[f64]) -> Option<usize> {
     let own = distances.iter().position(|&distance| distance <= ON_PX)?;
-    let mut others = distances
-        .iter()
-        .enumerate()
-        .filter(|&(species, _)| species != own);
-    others
-        .all(|(_, &distance)| distance >= CLEAR_PX)
-        .then_some(own)
+    let mut others = distances.iter().enumerate().filter(|&(species, _)| species != own);
+    others.all(|(_, &distance)| distance >= CLEAR_PX).then_some(own)
 }
 
 /// Checks that there is one image per species and that all have one size.
@@ -98,12 +81,7 @@ pub(super) fn check_images(truth: &Truth, images: &[Plane<'_>]) -> Result<(), Sc
 }
 
 fn mean_and_deviation(image: &Plane<'_>, pixels: &[usize]) -> Option<(f64, f64)> {
-    let valid = || {
-        pixels
-            .iter()
-            .map(|&pixel| f64::from(image.pixels[pixel]))
-            .filter(|value| !value.is_nan())
-    };
+    let valid = || pixels.iter().map(|&pixel| f64::from(image.pixels[pixel])).filter(|value| !value.is_nan());
     let number = valid().count() as f64;
     let mean = valid().sum::<f64>() / number;
     let variance = valid().map(|value| (value - mean).powi(2)).sum::<f64>() / number;

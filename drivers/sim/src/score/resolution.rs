@@ -41,17 +41,13 @@ fn cross_section(truth: &Truth, species: usize, image: &Plane<'_>) -> Vec<(f64, 
         .filter(|&other| other != species)
         .map(|other| truth.outline(other))
         .collect();
-    let section = image
-        .pixels
-        .iter()
-        .enumerate()
-        .filter_map(|(pixel, &value)| {
-            let point = image.position(pixel);
-            let nearest = outline.nearest_axis(point)?;
-            let beside = !nearest.at_end && nearest.distance <= REACH_PX;
-            let clear = beside && others.iter().all(|other| other.distance(point) >= CLEAR_PX);
-            (clear && !value.is_nan()).then(|| (nearest.signed, f64::from(value)))
-        });
+    let section = image.pixels.iter().enumerate().filter_map(|(pixel, &value)| {
+        let point = image.position(pixel);
+        let nearest = outline.nearest_axis(point)?;
+        let beside = !nearest.at_end && nearest.distance <= REACH_PX;
+        let clear = beside && others.iter().all(|other| other.distance(point) >= CLEAR_PX);
+        (clear && !value.is_nan()).then(|| (nearest.signed, f64::from(value)))
+    });
     section.collect()
 }
 

@@ -1,0 +1,286 @@
+//! `analyze`: from two stacks of frames, or one, to the unmixed super-resolved image.
+
+use super::AppError;
+use super::analysis::{Prepared, Source};
+use super::results::write_results;
+use crate::config::{AnalysisSettings, RawAnalysis};
+use crate::files::{ImageStack, OutputDirectory, SampleType};
+use crate::reconstruction::BLOCK;
+use crate::sofi::cumulant::Count;
+use std::path::{Path, PathBuf};
+
+/// Share of saturated pixel values above which the report warns.
+const SATURATED_SHARE: f64 = 1e-4;
+
+/// Arguments of `analyze`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  sofiscope analyze reflection.ome.tif transmission.ome.tif \\
+      --species \"Alexa Fluor 488,Atto 565,Alexa Fluor 647\" --dichroic \"zt 594 RDC\" --out result
+  sofiscope analyze one-camera.tif --psf-sigma 1.15 --out result
+  sofiscope analyze r.tif t.tif --settings analysis.toml --order 3 --out result3")]
+pub(super) struct AnalyzeArguments {
+    /// Stack of camera R (reflection), or a stack with both cameras as channels, or the only camera
+    reflection: PathBuf,
+    /// Stack of camera T (transmission, the long-wavelength side)
+    transmission: Option<PathBuf>,
+    /// Settings file (TOML); arguments win over it
+    #[arg(long)]
+    settings: Option<PathBuf>,
+    /// Dyes, separated by commas, in the order of the result images
+    #[arg(long, value_delimiter = ',')]
+    species: Option<Vec<String>>,
+    /// Dichroic between the cameras
+    #[arg(long)]
+    dichroic: Option<String>,
+    /// Cumulant order, 2 to 6
+    #[arg(long)]
+    order: Option<usize>,
+    /// Exposures per subsequence [default: 200, or all if there are fewer]
+    #[arg(long)]
+    subsequence: Option<u64>,
+    /// Pixel sets: all-closest, one-per-position or sofipackage
+    #[arg(long)]
+    combinations: Option<String>,
+    /// Standard deviation of the camera's point-spread function, camera pixels
+    #[arg(long)]
+    psf_sigma: Option<f64>,
+    /// Size of a camera pixel in the sample, nanometers
+    #[arg(long)]
+    pixel_nm: Option<f64>,
+    /// Iterations of Lucy-Richardson
+    #[arg(long)]
+    iterations: Option<usize>,
+    /// Keep species from going negative
+    #[arg(long)]
+    non_negative: bool,
+    /// Leave the linearized image as sharp as the deconvolution made it
+    #[arg(long)]
+    no_reconvolution: bool,
+    /// Directory for the results; must not exist
+    #[arg(long, default_value = "sofiscope-result")]
+    out: PathBuf,
+    /// Print one object on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs `analyze`.
+///
+/// # Errors
+/// [`AppError`]: what is wrong with the arguments, the files or the disk; then there is no result directory.
+pub(super) fn run(arguments: &AnalyzeArguments) -> Result<(), AppError> {
+    let settings = settings(arguments)?;
+    let mut stacks = open(arguments)?;
+    let prepared = Prepared::new(settings, source(&stacks)?)?;
+    let out = OutputDirectory::create(&arguments.out)?;
+    let float = stacks.iter().any(|stack| stack.info().sample == SampleType::Float32);
+    let limit = prepared.settings.saturation_counts;
+    let analysis = if float {
+        let limit = limit.unwrap_or(f32::INFINITY);
+        let mut saturation = Saturation::new(&stacks, |_| limit);
+        let analysis = prepared.run::<f32>(|_, blocks| read_block(&mut stacks, blocks, &mut saturation))?;
+        saturation.warn(analysis)?
+    } else {
+        let mut saturation = Saturation::new(&stacks, |sample| limit.unwrap_or(largest_count(sample)));
+        let analysis = prepared.run::<u16>(|_, blocks| read_block(&mut stacks, blocks, &mut saturation))?;
+        saturation.warn(analysis)?
+    };
+    let command = std::env::args().collect::<Vec<_>>().join(" ");
+    let summary = write_results(&analysis, &out, &command, None)?;
+    let results = out.commit()?;
+    summary.print(&results, arguments.json)
+}
+
+fn settings(arguments: &AnalyzeArguments) -> Result<AnalysisSettings, AppError> {
+    let given = RawAnalysis {
+        order: arguments.order,
+        subsequence_exposures: arguments.subsequence,
+        combinations: arguments.combinations.clone(),
+        species: arguments.species.clone(),
+        dichroic: arguments.dichroic.clone(),
+        unmixing: arguments.non_negative.then(|| "non-negative".to_owned()),
+        iterations: arguments.iterations,
+        reconvolution: arguments.no_reconvolution.then_some(false),
+        psf_sigma_px: arguments.psf_sigma,
+        pixel_pitch_nm: arguments.pixel_nm,
+        ..RawAnalysis::default()
+    };
+    let file = match &arguments.settings {
+        Some(path) => read_settings(path)?,
+        None => RawAnalysis::default(),
+    };
+    AnalysisSettings::try_from(given.or(file)).map_err(AppError::usage)
+}
+
+fn read_settings(path: &Path) -> Result<RawAnalysis, AppError> {
+    let name = path.display();
+    let text = std::fs::read_to_string(path)
+        .map_err(|error| AppError::Usage(format!("{name}: the settings cannot be read ({error}); check the path")))?;
+    RawAnalysis::from_toml(&text).map_err(|faults| AppError::Usage(format!("{name}: {faults}")))
+}
+
+/// One stack per channel; a stack that holds both cameras is opened once for each.
+fn open(arguments: &AnalyzeArguments) -> Result<Vec<ImageStack>, AppError> {
+    let reflection = ImageStack::open(&arguments.reflection)?;
+    let Some(transmission) = &arguments.transmission else {
+        let channels = reflection.info().channels;
+        if channels == 1 {
+            return Ok(vec![reflection]);
+        }
+        if channels > 2 {
+            return Err(AppError::Data(format!(
+                "{} has {channels} channels; give a stack of one or two cameras",
+                arguments.reflection.display()
+            )));
+        }
+        let select = |channel| -> Result<ImageStack, AppError> {
+            let mut stack = ImageStack::open(&arguments.reflection)?;
+            stack.select_channel(channel)?;
+            Ok(stack)
+        };
+        return (0..channels).map(select).collect();
+    };
+    let stacks = vec![reflection, ImageStack::open(transmission)?];
+    for stack in &stacks {
+        if stack.info().channels > 1 {
+            return Err(AppError::Data(format!(
+                "{} holds {} channels; give one stack per camera, or this file alone",
+                stack.path().display(),
+                stack.info().channels
+            )));
+        }
+    }
+    Ok(stacks)
+}
+
+fn source(stacks: &[ImageStack]) -> Result<Source, AppError> {
+    let first = stacks[0].info();
+    for other in &stacks[1..] {
+        let (a, b) = (stacks[0].path().display(), other.path().display());
+        let info = other.info();
+        if (info.height, info.width) != (first.height, first.width) {
+            return Err(AppError::Data(format!(
+                "the cameras differ in size: {a} has {} x {} pixels, {b} has {} x {}; crop both to the same region",
+                first.width, first.height, info.width, info.height
+            )));
+        }
+        if info.frames != first.frames {
+            return Err(AppError::Data(format!(
+                "the cameras differ in frames: {a} has {}, {b} has {}; frames cannot be paired by counting, \
+                 export both cameras again or cut them to the exposures they share",
+                first.frames, info.frames
+            )));
+        }
+    }
+    let roles = if stacks.len() == 1 { vec!["camera"] } else { vec!["camera R", "camera T"] };
+    let input = |(stack, role): (&ImageStack, &str)| {
+        (role.to_owned(), stack.path().display().to_string(), stack.info().sample.name().to_owned())
+    };
+    Ok(Source {
+        inputs: stacks.iter().zip(roles).map(input).collect(),
+        height: first.height,
+        width: first.width,
+        frames: first.frames as u64,
+        pixel_pitch_nm: first.pixel_size_nm.map(|[x, _]| x),
+        exposure_ms: first.frame_interval.map(|interval| interval.as_secs_f64() * 1e3),
+        simulated: stacks.iter().all(|stack| stack.info().channel_names.iter().any(|n| n.contains("simulated"))),
+        species: None,
+    })
+}
+
+/// A pixel type that stacks can be read into.
+trait Readable: Count + Default + PartialOrd {
+    fn read(stack: &mut ImageStack, frame: &mut [Self]) -> Result<bool, AppError>;
+}
+
+impl Readable for u16 {
+    fn read(stack: &mut ImageStack, frame: &mut [Self]) -> Result<bool, AppError> {
+        Ok(stack.read_counts(frame)?)
+    }
+}
+
+impl Readable for f32 {
+    fn read(stack: &mut ImageStack, frame: &mut [Self]) -> Result<bool, AppError> {
+        if stack.info().sample == SampleType::Float32 {
+            let read = stack.read_values(frame)?;
+            if read {
+                stack.check_finite(frame)?;
+            }
+            return Ok(read);
+        }
+        let mut counts = vec![0u16; frame.len()];
+        let read = stack.read_counts(&mut counts)?;
+        frame.iter_mut().zip(counts).for_each(|(value, count)| *value = Self::from(count));
+        Ok(read)
+    }
+}
+
+fn read_block<T: Readable>(
+    stacks: &mut [ImageStack],
+    blocks: &mut [Vec<T>],
+    saturation: &mut Saturation,
+) -> Result<usize, AppError> {
+    let mut read = 0;
+    for ((stack, block), camera) in stacks.iter_mut().zip(blocks).zip(&mut saturation.cameras) {
+        let pixels = block.len() / BLOCK;
+        read = 0;
+        for frame in block.chunks_exact_mut(pixels) {
+            if !T::read(stack, frame)? {
+                break;
+            }
+            read += 1;
+        }
+        if read > 0 {
+            camera.look_at(&block[..pixels]);
+        }
+    }
+    Ok(read)
+}
+
+/// How many pixel values are at the camera's limit, judged on raw counts of one frame per block.
+struct Saturation {
+    cameras: Vec<SaturatedCamera>,
+}
+
+struct SaturatedCamera {
+    limit: f32,
+    saturated: u64,
+    seen: u64,
+}
+
+impl Saturation {
+    fn new(stacks: &[ImageStack], limit: impl Fn(SampleType) -> f32) -> Self {
+        let camera =
+            |stack: &ImageStack| SaturatedCamera { limit: limit(stack.info().sample), saturated: 0, seen: 0 };
+        Self { cameras: stacks.iter().map(camera).collect() }
+    }
+
+    fn warn(&self, mut analysis: super::analysis::Analysis) -> Result<super::analysis::Analysis, AppError> {
+        for (camera, (role, path, _)) in self.cameras.iter().zip(&analysis.prepared.source.inputs) {
+            let share = camera.saturated as f64 / camera.seen.max(1) as f64;
+            if share > SATURATED_SHARE {
+                analysis.warnings.push(format!(
+                    "{role} {path}: {:.2} % of the pixel values are saturated (at {} counts); cumulants there are wrong.",
+                    100.0 * share,
+                    camera.limit
+                ));
+            }
+        }
+        Ok(analysis)
+    }
+}
+
+impl SaturatedCamera {
+    fn look_at<T: Count>(&mut self, frame: &[T]) {
+        self.seen += frame.len() as u64;
+        self.saturated += frame.iter().filter(|count| count.counts() >= self.limit).count() as u64;
+    }
+}
+
+fn largest_count(sample: SampleType) -> f32 {
+    match sample {
+        SampleType::Uint8 => f32::from(u8::MAX),
+        _ => f32::from(u16::MAX),
+    }
+}

@@ -1,0 +1,199 @@
+//! Settings of an analysis: a TOML file, overridden by arguments, checked as a whole.
+
+use crate::sofi::grid::Combinations;
+use serde::{Deserialize, Serialize};
+
+/// Objective of the paper's microscope.
+const DEFAULT_NUMERICAL_APERTURE: f64 = 1.27;
+
+/// Settings as typed; every key may be left out.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RawAnalysis {
+    /// Cumulant order, 2 to 6.
+    pub order: Option<usize>,
+    /// Exposures per subsequence.
+    pub subsequence_exposures: Option<u64>,
+    /// `all-closest`, `one-per-position` or `sofipackage`.
+    pub combinations: Option<String>,
+    /// Exposures by which each pixel of a tuple is delayed.
+    pub lags_exposures: Option<Vec<u64>>,
+    /// Names of the dyes, in the order of the result images.
+    pub species: Option<Vec<String>>,
+    /// Name of the dichroic between the cameras.
+    pub dichroic: Option<String>,
+    /// `pseudo-inverse` or `non-negative`.
+    pub unmixing: Option<String>,
+    /// `equal-means` or `distance-factor`.
+    pub flattening: Option<String>,
+    /// Iterations of Lucy–Richardson.
+    pub iterations: Option<usize>,
+    /// Whether iterations are accelerated after Biggs and Andrews.
+    pub accelerated: Option<bool>,
+    /// Whether the linearized image is blurred with the default width again.
+    pub reconvolution: Option<bool>,
+    /// Standard deviation of the camera's point-spread function, camera pixels, for all species.
+    pub psf_sigma_px: Option<f64>,
+    /// Numerical aperture of the objective.
+    pub numerical_aperture: Option<f64>,
+    /// Size of a camera pixel in the sample, nanometers.
+    pub pixel_pitch_nm: Option<f64>,
+    /// Count at which the camera saturates.
+    pub saturation_counts: Option<f32>,
+}
+
+/// Settings that can be believed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AnalysisSettings {
+    /// Cumulant order, 2 to 6.
+    pub order: usize,
+    /// Exposures per subsequence, at least 2; `None` for 200 or the whole stack if that is shorter.
+    pub subsequence: Option<u64>,
+    /// Rule for pixel sets.
+    pub combinations: Combinations,
+    /// Delay of each pixel of a tuple, in exposures; empty for none.
+    pub lags: Vec<u64>,
+    /// Names of the dyes.
+    pub species: Vec<String>,
+    /// Name of the dichroic.
+    pub dichroic: Option<String>,
+    /// Whether species are kept from going negative.
+    pub non_negative: bool,
+    /// Whether sub-grids are weighted by the distance factor instead of equal means.
+    pub distance_factor: bool,
+    /// Iterations of Lucy–Richardson.
+    pub iterations: usize,
+    /// Whether iterations are accelerated.
+    pub accelerated: bool,
+    /// Whether the linearized image is blurred again.
+    pub reconvolution: bool,
+    /// Width of the point-spread function, camera pixels.
+    pub psf_sigma_px: Option<f64>,
+    /// Numerical aperture.
+    pub numerical_aperture: f64,
+    /// Camera pixel in the sample, nanometers, if it was given.
+    pub pixel_pitch_nm: Option<f64>,
+    /// Count at which the camera saturates, if it was given.
+    pub saturation_counts: Option<f32>,
+}
+
+/// Everything that is wrong with the settings.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{}", faults.join("; "))]
+pub struct AnalysisFaults {
+    /// One sentence per fault, with its key and the remedy.
+    pub faults: Vec<String>,
+}
+
+impl RawAnalysis {
+    /// Reads a settings file.
+    ///
+    /// # Errors
+    /// One fault, with line and key, for text that is not such a file.
+    pub fn from_toml(text: &str) -> Result<Self, AnalysisFaults> {
+        toml::from_str(text).map_err(|error| AnalysisFaults { faults: vec![error.to_string().trim().to_owned()] })
+    }
+
+    /// These settings where they are given, those of `other` where not.
+    #[must_use]
+    pub fn or(self, other: Self) -> Self {
+        Self {
+            order: self.order.or(other.order),
+            subsequence_exposures: self.subsequence_exposures.or(other.subsequence_exposures),
+            combinations: self.combinations.or(other.combinations),
+            lags_exposures: self.lags_exposures.or(other.lags_exposures),
+            species: self.species.or(other.species),
+            dichroic: self.dichroic.or(other.dichroic),
+            unmixing: self.unmixing.or(other.unmixing),
+            flattening: self.flattening.or(other.flattening),
+            iterations: self.iterations.or(other.iterations),
+            accelerated: self.accelerated.or(other.accelerated),
+            reconvolution: self.reconvolution.or(other.reconvolution),
+            psf_sigma_px: self.psf_sigma_px.or(other.psf_sigma_px),
+            numerical_aperture: self.numerical_aperture.or(other.numerical_aperture),
+            pixel_pitch_nm: self.pixel_pitch_nm.or(other.pixel_pitch_nm),
+            saturation_counts: self.saturation_counts.or(other.saturation_counts),
+        }
+    }
+}
+
+impl TryFrom<RawAnalysis> for AnalysisSettings {
+    type Error = AnalysisFaults;
+
+    fn try_from(raw: RawAnalysis) -> Result<Self, AnalysisFaults> {
+        let mut faults = Vec::new();
+        let order = raw.order.unwrap_or(2);
+        if !(2..=6).contains(&order) {
+            faults.push(format!("order {order} is not available; choose an order from 2 to 6"));
+        }
+        if let Some(short) = raw.subsequence_exposures.filter(|&length| length < 2) {
+            faults.push(format!("a subsequence of {short} exposures is too short; take at least 2, in practice 100 to 500"));
+        }
+        let combinations = choose(&mut faults, "combinations", raw.combinations.as_deref(), &Combinations::NAMES);
+        let unmixing = [("pseudo-inverse", false), ("non-negative", true)];
+        let flattening = [("equal-means", false), ("distance-factor", true)];
+        for (key, value) in [
+            ("psf_sigma_px", raw.psf_sigma_px),
+            ("numerical_aperture", raw.numerical_aperture),
+            ("pixel_pitch_nm", raw.pixel_pitch_nm),
+        ] {
+            if let Some(value) = value.filter(|value| !(value.is_finite() && *value > 0.0)) {
+                faults.push(format!("{key} = {value} must be a positive number"));
+            }
+        }
+        let settings = Self {
+            order,
+            subsequence: raw.subsequence_exposures,
+            combinations,
+            lags: raw.lags_exposures.unwrap_or_default(),
+            species: raw.species.unwrap_or_default(),
+            dichroic: raw.dichroic,
+            non_negative: choose(&mut faults, "unmixing", raw.unmixing.as_deref(), &unmixing),
+            distance_factor: choose(&mut faults, "flattening", raw.flattening.as_deref(), &flattening),
+            iterations: raw.iterations.unwrap_or(20),
+            accelerated: raw.accelerated.unwrap_or(false),
+            reconvolution: raw.reconvolution.unwrap_or(true),
+            psf_sigma_px: raw.psf_sigma_px,
+            numerical_aperture: raw.numerical_aperture.unwrap_or(DEFAULT_NUMERICAL_APERTURE),
+            pixel_pitch_nm: raw.pixel_pitch_nm,
+            saturation_counts: raw.saturation_counts,
+        };
+        if faults.is_empty() { Ok(settings) } else { Err(AnalysisFaults { faults }) }
+    }
+}
+
+/// The value with that name, the first one when none was given; an unknown name is a fault that lists the known ones.
+fn choose<T: Copy>(faults: &mut Vec<String>, key: &str, name: Option<&str>, known: &[(&str, T)]) -> T {
+    let name = name.unwrap_or(known[0].0);
+    if let Some((_, value)) = known.iter().find(|(known, _)| *known == name) {
+        return *value;
+    }
+    let names: Vec<&str> = known.iter().map(|(name, _)| *name).collect();
+    faults.push(format!("{key} = \"{name}\" is not known; choose one of {}", names.join(", ")));
+    known[0].1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arguments_win_over_the_file_and_the_rest_has_defaults() {
+        let file = RawAnalysis::from_toml("order = 3\nsubsequence_exposures = 150").unwrap();
+        let arguments = RawAnalysis { order: Some(4), ..RawAnalysis::default() };
+        let settings = AnalysisSettings::try_from(arguments.or(file)).unwrap();
+        assert_eq!((settings.order, settings.subsequence, settings.iterations), (4, Some(150), 20));
+    }
+
+    #[test]
+    fn all_faults_are_listed_at_once() {
+        let raw = RawAnalysis::from_toml("order = 9\nsubsequence_exposures = 1\nflattening = \"flat\"").unwrap();
+        assert_eq!(AnalysisSettings::try_from(raw).unwrap_err().faults.len(), 3);
+    }
+
+    #[test]
+    fn unknown_keys_are_refused_with_their_line() {
+        let fault = RawAnalysis::from_toml("order = 2\nsubsequense = 3").unwrap_err().to_string();
+        assert!(fault.contains("line 2") && fault.contains("subsequense"), "{fault}");
+    }
+}

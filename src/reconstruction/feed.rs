@@ -1,0 +1,107 @@
+//! Blocks of exposures into the engine: the next block is read while this one is summed.
+
+use super::AllCores;
+use crate::sofi::cumulant::{Count, CumulantEngine, Exposure, PushError, RunSummary};
+
+/// Exposures per block: few enough for memory, many enough that sums are seldom moved.
+pub const BLOCK: usize = 32;
+
+/// Why feeding ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum FeedError<E> {
+    /// The source failed.
+    #[error(transparent)]
+    Source(E),
+    /// The engine refused a block.
+    #[error(transparent)]
+    Push(#[from] PushError),
+}
+
+/// What came out of a feed beside the engine's state.
+#[derive(Debug, Clone, Default)]
+pub struct Feed {
+    /// Exposures fed.
+    pub exposures: u64,
+    /// Subsequences that closed.
+    pub closed: Vec<RunSummary>,
+    /// Exposure index and mean counts per channel, for at most a few hundred exposures evenly spread.
+    pub trace: Vec<(u64, Vec<f64>)>,
+}
+
+/// Feeds an engine from a source until it ends.
+///
+/// `read(first, block)` fills one buffer per channel with up to [`BLOCK`] frames, one after another,
+/// and says how many; fewer than [`BLOCK`] ends the feed. `progress` is told how many were fed.
+///
+/// # Errors
+/// [`FeedError`]: what the source or the engine says.
+pub fn feed<T: Count + Default, E: Send>(
+    engine: &mut CumulantEngine<T>,
+    pixels: usize,
+    trace_every: u64,
+    mut read: impl FnMut(u64, &mut [Vec<T>]) -> Result<usize, E> + Send,
+    mut progress: impl FnMut(u64) + Send,
+) -> Result<Feed, FeedError<E>> {
+    let channels = engine.settings().channels;
+    let buffer = || vec![vec![T::default(); BLOCK * pixels]; channels];
+    let (mut now, mut next) = (buffer(), buffer());
+    let mut result = Feed::default();
+    let mut frames = read(0, &mut now).map_err(FeedError::Source)?;
+    while frames > 0 {
+        let first = result.exposures;
+        let following = first + frames as u64;
+        let (pushed, read_next) = rayon::join(
+            || push(engine, first, frames, pixels, &now),
+            || if frames == BLOCK { read(following, &mut next) } else { Ok(0) },
+        );
+        result.closed.extend(pushed?);
+        trace(&mut result.trace, first, frames, pixels, trace_every, &now);
+        result.exposures = following;
+        progress(frames as u64);
+        frames = read_next.map_err(FeedError::Source)?;
+        std::mem::swap(&mut now, &mut next);
+    }
+    Ok(result)
+}
+
+fn push<T: Count>(
+    engine: &mut CumulantEngine<T>,
+    first: u64,
+    frames: usize,
+    pixels: usize,
+    buffers: &[Vec<T>],
+) -> Result<Vec<RunSummary>, PushError> {
+    let frame = |buffer: &'_ Vec<T>, frame: usize| -> std::ops::Range<usize> {
+        debug_assert!(buffer.len() >= (frame + 1) * pixels);
+        frame * pixels..(frame + 1) * pixels
+    };
+    let planes: Vec<Vec<&[T]>> = (0..frames)
+        .map(|index| buffers.iter().map(|buffer| &buffer[frame(buffer, index)]).collect())
+        .collect();
+    let exposures: Vec<Exposure<'_, T>> = planes
+        .iter()
+        .enumerate()
+        .map(|(offset, planes)| Exposure { index: first + offset as u64, planes })
+        .collect();
+    engine.push(&AllCores, &exposures)
+}
+
+fn trace<T: Count>(
+    trace: &mut Vec<(u64, Vec<f64>)>,
+    first: u64,
+    frames: usize,
+    pixels: usize,
+    every: u64,
+    buffers: &[Vec<T>],
+) {
+    for offset in 0..frames {
+        let index = first + offset as u64;
+        if index.is_multiple_of(every.max(1)) {
+            let mean = |buffer: &Vec<T>| {
+                let frame = &buffer[offset * pixels..(offset + 1) * pixels];
+                frame.iter().map(|count| f64::from(count.counts())).sum::<f64>() / pixels as f64
+            };
+            trace.push((index, buffers.iter().map(mean).collect()));
+        }
+    }
+}
