@@ -1,5 +1,7 @@
 //! The running engine against a slow two-pass twin, and the algebra that its state must obey.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop here")]
 
+mod compare;
 mod twin;
 
 use proptest::prelude::*;
@@ -106,7 +108,7 @@ fn assert_agrees_with_twin(case: &Case, block: usize) {
         return;
     };
     for (u, (got, expected)) in drawing.cumulants.iter().zip(&expected).enumerate() {
-        let error = twin::relative_error(got, expected);
+        let error = compare::relative_error(got, expected);
         assert!(error <= tolerance(case.settings.order), "channel {u}: {error:e} in {case:?}");
     }
 }
@@ -168,7 +170,7 @@ proptest! {
         if let (Some(merged), Some(sequence)) = (merged, sequence) {
             prop_assert_eq!((merged.runs, merged.samples), (sequence.runs, sequence.samples));
             for (a, b) in merged.cumulants.iter().zip(&sequence.cumulants) {
-                let error = twin::relative_error(a, &b.mapv(f64::from));
+                let error = compare::relative_error(a, &b.mapv(f64::from));
                 prop_assert!(error <= tolerance(case.settings.order), "{error:e} in {case:?}");
             }
         }
@@ -194,7 +196,7 @@ fn masked_pixels_become_nan_and_change_nothing_else() {
     push_all(&mut engine, &frames, 8);
     let masked = engine.draw(&Serial, Incomplete::AtLeastHalf).unwrap();
     let whole = drawn(&case, &frames, 8).unwrap();
-    let needs_no_t = twin::relative_error(&masked.cumulants[0], &whole.cumulants[0].mapv(f64::from));
+    let needs_no_t = compare::relative_error(&masked.cumulants[0], &whole.cumulants[0].mapv(f64::from));
     assert_eq!(needs_no_t, 0.0, "RRR takes no pixel from T");
     let mut newly_nan = 0;
     for (masked, whole) in masked.cumulants[1].iter().zip(&whole.cumulants[1]) {

@@ -9,10 +9,10 @@ use crate::reconstruction::{
 use crate::sofi::cumulant::{Count, CumulantEngine, CumulantSettings, Drawing, Incomplete};
 use crate::sofi::flattening::estimate_sigma;
 use crate::sofi::grid::VirtualPixelGrid;
-use crate::sofi::linearization::{Acceleration, LinearizationSettings, Reconvolution};
+use crate::sofi::linearization::LinearizationSettings;
 use crate::sofi::psf::{Psf, PsfError};
 use crate::sofi::spectra::Species;
-use crate::sofi::unmixing::{UnmixingError, UnmixingMatrix, UnmixingMethod};
+use crate::sofi::unmixing::{UnmixingError, UnmixingMatrix};
 use ndarray::array;
 use std::time::Instant;
 
@@ -58,6 +58,15 @@ pub(super) struct Prepared {
     pub(super) warnings: Vec<String>,
 }
 
+/// Width of a point-spread function.
+#[derive(Debug, Clone)]
+pub(super) struct Width {
+    /// Standard deviation, camera pixels.
+    pub(super) sigma_px: f64,
+    /// Where it comes from, for the report.
+    pub(super) source: String,
+}
+
 /// Everything that one analysis found.
 #[derive(Debug, Clone)]
 pub(super) struct Analysis {
@@ -65,8 +74,8 @@ pub(super) struct Analysis {
     pub(super) drawing: Drawing,
     pub(super) stages: Option<Stages>,
     pub(super) feed: Feed,
-    /// Width of the point-spread function per species, camera pixels, and where it comes from.
-    pub(super) widths: Vec<(f64, String)>,
+    /// Width of the point-spread function per species.
+    pub(super) widths: Vec<Width>,
     /// Seconds of each step.
     pub(super) steps: Vec<(String, f64)>,
     pub(super) warnings: Vec<String>,
@@ -142,28 +151,23 @@ impl Prepared {
         Ok(())
     }
 
-    fn stages(&self, drawing: &Drawing) -> Result<(Option<Stages>, Vec<(f64, String)>), AppError> {
+    fn stages(&self, drawing: &Drawing) -> Result<(Option<Stages>, Vec<Width>), AppError> {
         let Some(matrix) = &self.matrix else { return Ok((None, Vec::new())) };
         let widths = self.widths(drawing, matrix);
         let linearization = widths
             .iter()
-            .map(|(sigma_px, _)| {
-                let (iterations, reconvolve) = (self.settings.iterations, self.settings.reconvolution);
+            .map(|width| {
                 Ok(LinearizationSettings {
-                    psf: Psf::gaussian(*sigma_px).map_err(|error| unlike_a_psf(&error))?,
-                    iterations,
-                    acceleration: if self.settings.accelerated {
-                        Acceleration::BiggsAndrews
-                    } else {
-                        Acceleration::None
-                    },
-                    reconvolution: if reconvolve { Reconvolution::Default } else { Reconvolution::None },
+                    psf: Psf::gaussian(width.sigma_px).map_err(|error| unlike_a_psf(&error))?,
+                    iterations: self.settings.iterations,
+                    acceleration: self.settings.acceleration,
+                    reconvolution: self.settings.reconvolution,
                 })
             })
             .collect::<Result<Vec<_>, AppError>>()?;
         let chain = ChainSettings {
             matrix: matrix.clone(),
-            method: self.method(),
+            method: self.settings.unmixing.clone(),
             flattening: if self.settings.distance_factor {
                 FlatteningKind::DistanceFactor
             } else {
@@ -175,12 +179,8 @@ impl Prepared {
         Ok((Some(stages), widths))
     }
 
-    fn method(&self) -> UnmixingMethod {
-        if self.settings.non_negative { UnmixingMethod::NonNegative } else { UnmixingMethod::PseudoInverse }
-    }
-
     /// The width of each species' point-spread function in camera pixels: given, from optics, or from the data.
-    fn widths(&self, drawing: &Drawing, matrix: &UnmixingMatrix) -> Vec<(f64, String)> {
+    fn widths(&self, drawing: &Drawing, matrix: &UnmixingMatrix) -> Vec<Width> {
         let aperture = self.settings.numerical_aperture;
         let from_optics = |emission_nm: f64| 0.21 * emission_nm / aperture / self.pixel_pitch_nm;
         let kappa: Vec<_> = drawing.cumulants.iter().map(|image| image.view()).collect();
@@ -189,19 +189,19 @@ impl Prepared {
             .enumerate()
             .map(|(index, species)| {
                 if let Some(sigma_px) = self.settings.psf_sigma_px {
-                    return (sigma_px, "given".to_owned());
+                    return Width { sigma_px, source: "given".to_owned() };
                 }
                 if let Some(emission_nm) = species.emission_nm {
                     let source = format!("NA {aperture}, {emission_nm} nm emission");
-                    return (from_optics(emission_nm), source);
+                    return Width { sigma_px: from_optics(emission_nm), source };
                 }
                 let unmixed = matrix.unmix(&kappa).ok().map(|mut images| images.swap_remove(index));
                 let estimate = unmixed.and_then(|i| estimate_sigma(&i, &self.grid.squared_distances()).ok());
                 match estimate.filter(|sigma| (0.3..5.0).contains(sigma)) {
-                    Some(sigma_px) => (sigma_px, "from the sub-grids of the data".to_owned()),
+                    Some(sigma_px) => Width { sigma_px, source: "from the sub-grids of the data".to_owned() },
                     None => {
                         let source = format!("NA {aperture}, {ASSUMED_EMISSION_NM} nm emission assumed");
-                        (from_optics(ASSUMED_EMISSION_NM), source)
+                        Width { sigma_px: from_optics(ASSUMED_EMISSION_NM), source }
                     }
                 }
             })

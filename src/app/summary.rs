@@ -9,6 +9,7 @@ use crate::report::{
 };
 use crate::sofi::flattening::FlatteningReport;
 use crate::sofi::grid::Combinations;
+use crate::sofi::unmixing::UnmixingMethod;
 
 /// Fills the report of an analysis.
 pub(super) fn report(analysis: &Analysis, command: &str, files: &[String], scores: Scores) -> AnalysisReport {
@@ -78,18 +79,24 @@ fn settings(analysis: &Analysis) -> Settings {
         lags: prepared.engine.lags.iter().map(|&lag| lag as u32).collect(),
         dichroic: chosen.dichroic.clone(),
         registration: Some("none: the cameras are taken as aligned".to_owned()),
-        unmixing: if chosen.non_negative { "non-negative" } else { "pseudo-inverse" }.to_owned(),
+        unmixing: match chosen.unmixing {
+            UnmixingMethod::NonNegative => "non-negative".to_owned(),
+            _ => "pseudo-inverse".to_owned(),
+        },
         flattening: if chosen.distance_factor { "distance factor" } else { "equal means" }.to_owned(),
         linearization_iterations: Some(chosen.iterations as u32),
         psf: analysis
             .widths
             .first()
-            .map(|(sigma_px, source)| PsfUsed { sigma_px: *sigma_px, source: source.clone() }),
+            .map(|width| PsfUsed { sigma_px: width.sigma_px, source: width.source.clone() }),
         camera_pixel_pitch_nm: Some(prepared.pixel_pitch_nm),
         exposure_ms: prepared.source.exposure_ms,
         other: widths
-            .map(|((sigma_px, source), species)| {
-                (format!("PSF sigma of {}", species.name), format!("{sigma_px:.3} px ({source})"))
+            .map(|(width, species)| {
+                (
+                    format!("PSF sigma of {}", species.name),
+                    format!("{:.3} px ({})", width.sigma_px, width.source),
+                )
             })
             .collect(),
     }

@@ -2,6 +2,8 @@
 
 use super::form::{self, Faults};
 use crate::sofi::grid::Combinations;
+use crate::sofi::linearization::{Acceleration, Reconvolution};
+use crate::sofi::unmixing::UnmixingMethod;
 use serde::{Deserialize, Serialize};
 
 /// Objective of the paper's microscope.
@@ -58,16 +60,16 @@ pub struct AnalysisSettings {
     pub species: Vec<String>,
     /// Name of the dichroic.
     pub dichroic: Option<String>,
-    /// Whether species are kept from going negative.
-    pub non_negative: bool,
+    /// How the mixing is inverted.
+    pub unmixing: UnmixingMethod,
     /// Whether sub-grids are weighted by the distance factor instead of equal means.
     pub distance_factor: bool,
     /// Iterations of Lucy–Richardson.
     pub iterations: usize,
-    /// Whether iterations are accelerated.
-    pub accelerated: bool,
-    /// Whether the linearized image is blurred again.
-    pub reconvolution: bool,
+    /// How one iteration leads to the next.
+    pub acceleration: Acceleration,
+    /// What the linearized image is blurred with.
+    pub reconvolution: Reconvolution,
     /// Width of the point-spread function, camera pixels.
     pub psf_sigma_px: Option<f64>,
     /// Numerical aperture.
@@ -166,7 +168,10 @@ impl TryFrom<RawAnalysis> for AnalysisSettings {
         }
         let combinations =
             choose(&mut faults, "combinations", raw.combinations.as_deref(), &Combinations::NAMES);
-        let unmixing = [("pseudo-inverse", false), ("non-negative", true)];
+        let unmixing = [
+            ("pseudo-inverse", UnmixingMethod::PseudoInverse),
+            ("non-negative", UnmixingMethod::NonNegative),
+        ];
         let flattening = [("equal-means", false), ("distance-factor", true)];
         for (key, value) in [
             ("psf_sigma_px", raw.psf_sigma_px),
@@ -185,11 +190,17 @@ impl TryFrom<RawAnalysis> for AnalysisSettings {
             lags: raw.lags_exposures.unwrap_or_default(),
             species: raw.species.unwrap_or_default(),
             dichroic: raw.dichroic,
-            non_negative: choose(&mut faults, "unmixing", raw.unmixing.as_deref(), &unmixing),
+            unmixing: choose(&mut faults, "unmixing", raw.unmixing.as_deref(), &unmixing),
             distance_factor: choose(&mut faults, "flattening", raw.flattening.as_deref(), &flattening),
             iterations: raw.iterations.unwrap_or(20),
-            accelerated: raw.accelerated.unwrap_or(false),
-            reconvolution: raw.reconvolution.unwrap_or(true),
+            acceleration: match raw.accelerated {
+                Some(true) => Acceleration::BiggsAndrews,
+                _ => Acceleration::None,
+            },
+            reconvolution: match raw.reconvolution {
+                Some(false) => Reconvolution::None,
+                _ => Reconvolution::Default,
+            },
             psf_sigma_px: raw.psf_sigma_px,
             numerical_aperture: raw.numerical_aperture.unwrap_or(DEFAULT_NUMERICAL_APERTURE),
             pixel_pitch_nm: raw.pixel_pitch_nm,
@@ -209,14 +220,14 @@ fn in_words(message: &str) -> String {
 }
 
 /// The value with that name, the first one when none was given; an unknown name is a fault that lists the known ones.
-fn choose<T: Copy>(faults: &mut Vec<String>, key: &str, name: Option<&str>, known: &[(&str, T)]) -> T {
+fn choose<T: Clone>(faults: &mut Vec<String>, key: &str, name: Option<&str>, known: &[(&str, T)]) -> T {
     let name = name.unwrap_or(known[0].0);
     if let Some((_, value)) = known.iter().find(|(known, _)| *known == name) {
-        return *value;
+        return value.clone();
     }
     let names: Vec<&str> = known.iter().map(|(name, _)| *name).collect();
     faults.push(format!("{key} = \"{name}\" is not known; choose one of {}", names.join(", ")));
-    known[0].1
+    known[0].1.clone()
 }
 
 #[cfg(test)]

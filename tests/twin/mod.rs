@@ -5,7 +5,7 @@ use sofiscope::sofi::cumulant::CumulantSettings;
 use sofiscope::sofi::grid::{Offset, VirtualPixelGrid};
 
 /// One recorded exposure: its index and one image per channel, row-major.
-pub type Recorded = (u64, Vec<Vec<f64>>);
+pub(crate) type Recorded = (u64, Vec<Vec<f64>>);
 
 /// A set of pixels with one lag each.
 struct Tuple {
@@ -14,7 +14,7 @@ struct Tuple {
 }
 
 /// Fine-grid images per spectral channel, NaN where a tuple leaves the sensor; subsequences as the engine has them.
-pub fn cumulants(
+pub(crate) fn cumulants(
     settings: &CumulantSettings,
     height: usize,
     width: usize,
@@ -104,7 +104,7 @@ fn joint(
 }
 
 /// The joint cumulant of equally long series by the partition formula, after centering (population moments).
-pub fn joint_cumulant(series: &mut [Vec<f64>]) -> f64 {
+pub(crate) fn joint_cumulant(series: &mut [Vec<f64>]) -> f64 {
     for values in series.iter_mut() {
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         values.iter_mut().for_each(|value| *value -= mean);
@@ -147,23 +147,4 @@ fn partitions(n: usize) -> Vec<Vec<Vec<usize>>> {
         }
     }
     all
-}
-
-/// Largest difference over the root mean square of the expected image; infinite when NaN stands in other places.
-pub fn relative_error<'a>(
-    got: impl IntoIterator<Item = &'a f32>,
-    expected: impl IntoIterator<Item = &'a f64>,
-) -> f64 {
-    let (mut worst, mut squares, mut count) = (0.0f64, 0.0, 0.0);
-    for (&got, &expected) in got.into_iter().zip(expected) {
-        if got.is_nan() != expected.is_nan() {
-            return f64::INFINITY;
-        }
-        if !expected.is_nan() {
-            worst = worst.max((f64::from(got) - expected).abs());
-            squares += expected * expected;
-            count += 1.0;
-        }
-    }
-    worst / (squares / count as f64).sqrt()
 }

@@ -34,6 +34,13 @@ pub struct Drawing {
     pub incomplete_samples: u64,
 }
 
+/// Images of one drawing.
+pub(super) struct Images {
+    pub(super) cumulants: Vec<Array2<f32>>,
+    pub(super) means: Vec<Array2<f32>>,
+    pub(super) variances: Vec<Array2<f32>>,
+}
+
 /// Expands summed results, divided by their total weight, to images.
 pub(super) fn expand(
     plan: &Plan,
@@ -41,7 +48,7 @@ pub(super) fn expand(
     masks: &[PixelMask],
     sums: &[Vec<f32>],
     weight: f64,
-) -> (Vec<Array2<f32>>, Vec<Array2<f32>>, Vec<Array2<f32>>) {
+) -> Images {
     let scale = (1.0 / weight) as f32;
     let spectral = plan.algebra.coefficients(plan.order);
     let channels = plan.algebra.channels();
@@ -52,7 +59,7 @@ pub(super) fn expand(
             .map(|channel| camera_image(layout, &masks[channel], sums, first + channel, scale))
             .collect()
     };
-    (cumulants, camera(first), camera(first + channels))
+    Images { cumulants, means: camera(first), variances: camera(first + channels) }
 }
 
 fn fine_image(

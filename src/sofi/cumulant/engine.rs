@@ -1,6 +1,6 @@
 //! The engine: exposures in, subsequence after subsequence, one bounded state.
 
-use super::drawing::{Drawing, Incomplete, PixelMask, expand};
+use super::drawing::{Drawing, Images, Incomplete, PixelMask, expand};
 use super::finalize::{add_results, result_planes};
 use super::kernel::{Count, Planes};
 use super::layout::Layout;
@@ -197,7 +197,8 @@ impl<T: Count> CumulantEngine<T> {
             return None;
         }
         let weight = used.samples as f64 / self.settings.subsequence as f64;
-        let (cumulants, means, variances) = expand(&self.plan, &self.layout, &self.masks, &results, weight);
+        let Images { cumulants, means, variances } =
+            expand(&self.plan, &self.layout, &self.masks, &results, weight);
         let Used { runs, samples, incomplete_samples } = used;
         Some(Drawing { cumulants, means, variances, runs, samples, incomplete_samples })
     }

@@ -344,10 +344,9 @@ impl Shift<'_> {
         let algebra = &self.plan.algebra;
         reset(&mut products.total, algebra.coefficients(degree));
         for kept in 0..set.subsets.len() {
-            let mut size = kept.count_ones() as usize;
             self.load_kept(set, smaller, kept, (y, x), &mut products.product);
-            for (_, element) in set.elements.iter().enumerate().filter(|(pixel, _)| kept & (1 << pixel) == 0)
-            {
+            let left_out = set.elements.iter().enumerate().filter(|(pixel, _)| kept & (1 << pixel) == 0);
+            for (size, (_, element)) in (kept.count_ones() as usize..).zip(left_out) {
                 let (y, x) = (y + i64::from(element.dy), x + i64::from(element.dx));
                 products.shift.clear();
                 products.shift.extend((0..algebra.channels()).map(|channel| self.shift(channel, y, x)));
@@ -355,7 +354,6 @@ impl Shift<'_> {
                 let (product, shift) = ((&products.product[..], size), (&products.shift[..], 1));
                 algebra.add_product(product, shift, -1.0, &mut products.longer);
                 std::mem::swap(&mut products.product, &mut products.longer);
-                size += 1;
             }
             for (total, product) in products.total.iter_mut().zip(&products.product) {
                 (0..LANES).for_each(|lane| total[lane] += product[lane]);
