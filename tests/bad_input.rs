@@ -340,3 +340,13 @@ fn partly_saturated_frames_are_analyzed_with_a_warning() {
         assert!(warned(&fs::read_to_string(bench.path(out).join("report.json")).unwrap()));
     }
 }
+
+#[test]
+fn one_file_for_both_cameras_brings_a_warning() {
+    let bench = Bench::new();
+    bench.pair([40, 8, 8]);
+    let output = bench.analyze(&["r.tif", "./r.tif", "--out", "out"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success(), "{said}");
+    assert!(said.contains("warning: r.tif was given for both cameras"), "{said}");
+}

@@ -76,7 +76,8 @@ pub(super) struct AnalyzeArguments {
 pub(super) fn run(arguments: &AnalyzeArguments) -> Result<(), AppError> {
     let settings = settings(arguments)?;
     let mut stacks = open(arguments)?;
-    let prepared = Prepared::new(settings, source(&stacks)?)?;
+    let mut prepared = Prepared::new(settings, source(&stacks)?)?;
+    prepared.warnings.extend(same_file(arguments));
     let out = OutputDirectory::create(&arguments.out)?;
     ensure_space(&prepared, &out)?;
     let float = stacks.iter().any(|stack| stack.info().sample == SampleType::Float32);
@@ -158,6 +159,18 @@ fn open(arguments: &AnalyzeArguments) -> Result<Vec<ImageStack>, AppError> {
         }
     }
     Ok(stacks)
+}
+
+/// A slip of the hand that no number would show.
+fn same_file(arguments: &AnalyzeArguments) -> Option<String> {
+    let transmission = arguments.transmission.as_ref()?.canonicalize().ok()?;
+    let is_same = arguments.reflection.canonicalize().ok()? == transmission;
+    is_same.then(|| {
+        format!(
+            "{} was given for both cameras, which tells no dyes apart; give the stack of camera T as the second.",
+            arguments.reflection.display()
+        )
+    })
 }
 
 fn source(stacks: &[ImageStack]) -> Result<Source, AppError> {
