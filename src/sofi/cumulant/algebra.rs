@@ -32,6 +32,7 @@ impl ChannelAlgebra {
         Self { channels, monomials, products }
     }
 
+    #[inline(always)]
     pub(super) fn channels(&self) -> usize {
         self.channels
     }
@@ -42,6 +43,7 @@ impl ChannelAlgebra {
     }
 
     /// Number of coefficients of one degree: `C(degree + channels - 1, channels - 1)` (Eq. 1).
+    #[inline(always)]
     pub(super) fn coefficients(&self, degree: usize) -> usize {
         self.monomials[degree].len()
     }
@@ -54,6 +56,7 @@ impl ChannelAlgebra {
     }
 
     /// Index of the monomial that is the product of coefficient `i` of degree `a` and `j` of degree `b`.
+    #[inline(always)]
     pub(super) fn product_index(&self, a: usize, b: usize, i: usize, j: usize) -> usize {
         self.products[a][b][i * self.coefficients(b) + j]
     }

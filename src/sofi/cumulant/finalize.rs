@@ -6,12 +6,10 @@
 //! In: sums of a subsequence. Out: cumulants, means and variances of one band, in `f64`.
 
 use super::algebra::{LANES, Lanes, Polynomial};
-use super::layout::{Layout, for_each_register, load_row};
+use super::layout::{Layout, load_row, registers, shifted};
 use super::moments::RunMoments;
-use super::plan::{PlacedSet, Plan};
-
-/// Spectral channels of order 2 with the most channels that an engine takes.
-const MOST_PAIRS: usize = 10;
+use super::plan::{PlacedSet, Plan, Term};
+use pulp::{Simd, WithSimd};
 
 /// Number of result planes: cumulants by sub-position and spectral channel, then means, then variances.
 pub(super) fn result_planes(plan: &Plan) -> usize {
@@ -27,26 +25,41 @@ pub(super) fn add_results(
     band: usize,
     results: &mut [f32],
 ) {
-    pulp::Arch::new().dispatch(
-        #[inline(always)]
-        || {
-            let mut scratch = Scratch::new(plan);
-            let plane = layout.plane_len(band);
-            for_each_register(layout, band, |y, x, place| {
-                let mut add = |result: usize, values: &Lanes| {
-                    let start = result * plane + place;
-                    for (sum, value) in results[start..start + LANES].iter_mut().zip(values) {
-                        *sum += (weight * value) as f32;
-                    }
-                };
-                match plan.order {
-                    2 => pair_cumulants(plan, layout, moments, (y, x), &scratch.shares, &mut add),
-                    _ => cumulants(plan, layout, moments, (y, x), &mut scratch, &mut add),
+    pulp::Arch::new().dispatch(Finalizing { plan, layout, moments, weight, band, results });
+}
+
+/// The work on one band, compiled for the widest registers.
+struct Finalizing<'a> {
+    plan: &'a Plan,
+    layout: &'a Layout,
+    moments: &'a RunMoments,
+    weight: f64,
+    band: usize,
+    results: &'a mut [f32],
+}
+
+impl WithSimd for Finalizing<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { plan, layout, moments, weight, band, results } = self;
+        if plan.order == 2 {
+            return pair_cumulants(plan, layout, moments, weight, band, results);
+        }
+        let mut scratch = Scratch::new(plan);
+        let plane = layout.plane_len(band);
+        for (y, x, place) in registers(layout, band) {
+            let mut add = |result: usize, values: &Lanes| {
+                let start = result * plane + place;
+                for (sum, value) in results[start..start + LANES].iter_mut().zip(values) {
+                    *sum += (weight * value) as f32;
                 }
-                means_and_variances(plan, layout, moments, (y, x), &mut add);
-            });
-        },
-    );
+            };
+            cumulants(plan, layout, moments, (y, x), &mut scratch, &mut add);
+            means_and_variances(plan, layout, moments, (y, x), &mut add);
+        }
+    }
 }
 
 /// Polynomials of one register of pixels, by bit mask over the elements of a set.
@@ -63,48 +76,122 @@ impl Scratch {
         let of_mask = |mask: usize| vec![[0.0; LANES]; plan.algebra.coefficients(mask.count_ones() as usize)];
         let all: Vec<Polynomial> = (0..1 << plan.order).map(of_mask).collect();
         let total = vec![[0.0; LANES]; plan.algebra.coefficients(plan.order)];
-        let ways = |u| if plan.symmetric() { plan.algebra.multiplicity(plan.order, u) } else { 1.0 };
-        let shares = (0..total.len()).map(|u| 1.0 / ways(u)).collect();
-        Self { moments: all.clone(), cumulants: all, total, shares }
+        Self { moments: all.clone(), cumulants: all, total, shares: shares(plan) }
     }
 }
 
-/// Order 2, where `kappa = m(ab) - m(a) m(b)`.
+/// Order 2, where `kappa = m(ab) - m(a) m(b)`, row by row, as this is done at full camera size.
 #[inline(always)]
 fn pair_cumulants(
     plan: &Plan,
     layout: &Layout,
     moments: &RunMoments,
-    (y, x): (i64, i64),
-    shares: &[f64],
-    add: &mut impl FnMut(usize, &Lanes),
+    weight: f64,
+    band: usize,
+    results: &mut [f32],
 ) {
-    let (algebra, per_sample) = (&plan.algebra, 1.0 / moments.samples as f64);
-    let channels = algebra.channels();
-    for term in &plan.groups[2] {
-        let mut total = [[0.0; LANES]; MOST_PAIRS];
-        for (coefficient, total) in total.iter_mut().enumerate().take(shares.len()) {
-            *total = moments.sums(layout, 2, term.first + coefficient, y, x);
+    let mut rows = PairRows::new(plan, layout);
+    let (channels, per_sample) = (plan.algebra.channels(), 1.0 / moments.samples as f64);
+    let first = plan.accumulators(2);
+    for (row, y) in layout.rows(band).enumerate() {
+        let mut add = |result: usize, values: &[f64], scale: f64| {
+            let start = result * layout.plane_len(band) + row * layout.stride;
+            for (sum, value) in results[start..start + layout.stride].iter_mut().zip(values) {
+                *sum += (weight * scale * value) as f32;
+            }
+        };
+        for term in &plan.groups[2] {
+            rows.sum_term(plan, layout, moments, term, y as i64);
+            for (coefficient, total) in rows.totals.iter().enumerate() {
+                let scale = per_sample * rows.shares[coefficient] / term.sets.len() as f64;
+                add(term.first + coefficient, total, scale);
+            }
+        }
+        for channel in 0..channels {
+            rows.mean_and_variance(layout, moments, channel, y);
+            add(first + channel, &rows.a, 1.0);
+            add(first + channels + channel, &rows.b, 1.0);
+        }
+    }
+}
+
+/// Memory for the rows of one camera row's pairs.
+struct PairRows {
+    /// Per spectral channel: summed products less the products of sums per sample.
+    totals: Vec<Vec<f64>>,
+    a: Vec<f64>,
+    b: Vec<f64>,
+    shares: Vec<f64>,
+}
+
+impl PairRows {
+    fn new(plan: &Plan, layout: &Layout) -> Self {
+        let row = vec![0.0; layout.stride];
+        let shares = shares(plan);
+        Self { totals: vec![row.clone(); shares.len()], a: row.clone(), b: row, shares }
+    }
+
+    #[inline(always)]
+    fn sum_term(&mut self, plan: &Plan, layout: &Layout, moments: &RunMoments, term: &Term, y: i64) {
+        let channels = plan.algebra.channels();
+        for (coefficient, total) in self.totals.iter_mut().enumerate() {
+            moments.sums_row(layout, 2, term.first + coefficient, y, total);
         }
         for set in &term.sets {
-            let [a, b] = [set.subsets[1], set.subsets[2]];
-            let ((ya, xa), (yb, xb)) = (a.seen_from(y, x), b.seen_from(y, x));
             for channel_a in 0..channels {
-                let sum_a = moments.sums(layout, 1, a.first + channel_a, ya, xa);
                 for channel_b in if plan.symmetric() { 0 } else { channel_a }..channels {
-                    let sum_b = moments.sums(layout, 1, b.first + channel_b, yb, xb);
-                    let total = &mut total[algebra.product_index(1, 1, channel_a, channel_b)];
-                    for lane in 0..LANES {
-                        total[lane] -= sum_a[lane] * sum_b[lane] * per_sample;
-                    }
+                    let total = plan.algebra.product_index(1, 1, channel_a, channel_b);
+                    self.subtract_product(layout, moments, set, (channel_a, channel_b), total, y);
                 }
             }
         }
-        for (coefficient, (total, share)) in total.iter().zip(shares).enumerate() {
-            let scale = per_sample * share / term.sets.len() as f64;
-            add(term.first + coefficient, &total.map(|value| value * scale));
+    }
+
+    #[inline(always)]
+    fn subtract_product(
+        &mut self,
+        layout: &Layout,
+        moments: &RunMoments,
+        set: &PlacedSet,
+        (channel_a, channel_b): (usize, usize),
+        total: usize,
+        y: i64,
+    ) {
+        let [a, b] = [set.subsets[1], set.subsets[2]];
+        let per_sample = 1.0 / moments.samples as f64;
+        let ((ya, _), (yb, _)) = (a.seen_from(y, 0), b.seen_from(y, 0));
+        if !moments.sums_row(layout, 1, a.first + channel_a, ya, &mut self.a)
+            || !moments.sums_row(layout, 1, b.first + channel_b, yb, &mut self.b)
+        {
+            return;
+        }
+        let columns = layout.shared_columns(a.dx, b.dx);
+        let pairs =
+            shifted(&self.a, columns.clone(), a.dx).iter().zip(shifted(&self.b, columns.clone(), b.dx));
+        for (total, (a, b)) in self.totals[total][columns].iter_mut().zip(pairs) {
+            *total -= a * b * per_sample;
         }
     }
+
+    /// Puts the mean into `a` and the variance into `b`.
+    #[inline(always)]
+    fn mean_and_variance(&mut self, layout: &Layout, moments: &RunMoments, channel: usize, y: usize) {
+        let per_sample = 1.0 / moments.samples as f64;
+        moments.sums_row(layout, 1, channel, y as i64, &mut self.a);
+        moments.sums_row(layout, 0, channel, y as i64, &mut self.b);
+        let reference = &moments.reference(channel)[y * layout.stride..(y + 1) * layout.stride];
+        for ((mean, variance), reference) in self.a.iter_mut().zip(&mut self.b).zip(reference) {
+            let shift = *mean * per_sample;
+            *variance = (*variance * per_sample - shift * shift).max(0.0);
+            *mean = f64::from(*reference) + shift;
+        }
+    }
+}
+
+/// One over the number of ways to share a tuple among the channels, per spectral channel.
+fn shares(plan: &Plan) -> Vec<f64> {
+    let ways = |u| if plan.symmetric() { plan.algebra.multiplicity(plan.order, u) } else { 1.0 };
+    (0..plan.algebra.coefficients(plan.order)).map(|u| 1.0 / ways(u)).collect()
 }
 
 #[inline(always)]

@@ -9,7 +9,7 @@
 
 use super::layout::Layout;
 use super::plan::{Plan, Term};
-use super::prefetch::prefetch;
+use super::prefetch::{LINE_BYTES, prefetch};
 use crate::sofi::grid::Combinations;
 use pulp::{Arch, Simd, WithSimd};
 use std::cell::RefCell;
@@ -40,6 +40,9 @@ pub(super) type Planes<'a, T> = Vec<&'a [T]>;
 
 /// The most numbers that a tile may hold, so that it stays in the second-level cache.
 const TILE_NUMBERS: usize = 160 * 1024;
+
+/// Numbers before the first pixel of a tile row: the halo, padded so that the pixels begin on a cache line.
+const LEFT_PADDING: usize = 16;
 
 /// Columns of a tile.
 const TILE_COLUMNS: usize = 128;
@@ -95,7 +98,9 @@ impl<T: Count> WithSimd for BandWork<'_, '_, T> {
         let (plan, layout) = (block.plan, block.layout);
         let cutting = Cutting::new(block, band);
         let strides = cutting.strides;
-        numbers.resize(numbers.len().max(cutting.frames * strides.frame), 0.0);
+        numbers.resize(numbers.len().max(cutting.frames * strides.frame + LEFT_PADDING), 0.0);
+        let unaligned = numbers.as_ptr().align_offset(LINE_BYTES).min(LEFT_PADDING);
+        let numbers = &mut numbers[unaligned..];
         let deltas = Deltas::new(plan, strides);
         for part in 0..cutting.parts() {
             let (columns, samples) = cutting.part(part);
@@ -104,7 +109,7 @@ impl<T: Count> WithSimd for BandWork<'_, '_, T> {
             let tile = Tile {
                 numbers: &numbers[..samples.len() * strides.frame],
                 strides,
-                origin: plan.halo.up * strides.row + plan.halo.left,
+                origin: plan.halo.up * strides.row + LEFT_PADDING,
                 channels: block.reference.len(),
             };
             let target = Target { rows: layout.rows(band).len(), columns, layout };
@@ -127,7 +132,7 @@ impl Cutting {
     fn new<T>(block: &Block<'_, T>, band: usize) -> Self {
         let (plan, width) = (block.plan, block.layout.stride);
         let columns = width.min(TILE_COLUMNS);
-        let row = plan.halo.left + columns + plan.halo.right;
+        let row = LEFT_PADDING + (columns + plan.halo.right).next_multiple_of(LEFT_PADDING);
         let plane = row * (plan.halo.up + block.layout.rows(band).len() + plan.halo.down);
         let strides = Strides { frame: plane * plan.lags.len() * block.reference.len(), plane, row };
         let frames = (TILE_NUMBERS / strides.frame).clamp(4, 32);
@@ -201,6 +206,7 @@ fn fill_tile<T: Count>(
         for (index, (pixels, plane)) in sample.iter().zip(frame.chunks_exact_mut(strides.plane)).enumerate() {
             let reference = &block.reference[index % block.reference.len()];
             for (line, target) in plane.chunks_exact_mut(strides.row).enumerate() {
+                let target = &mut target[LEFT_PADDING - halo.left..];
                 let Some(y) = (rows.start + line).checked_sub(halo.up).filter(|&y| y < layout.height) else {
                     target.fill(0.0);
                     continue;

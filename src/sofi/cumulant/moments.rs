@@ -2,21 +2,24 @@
 //!
 //! Sums are kept in `f32` for at most [`CHUNK`] samples and then moved to `f64`, so that neither the length of a
 //! subsequence nor the camera offset costs precision. The reference is the first exposure; after
-//! [`SAMPLES_BEFORE_RECENTERING`] samples the sums are moved, exactly, to the mean so far.
+//! a few samples the sums are moved, exactly, to the mean so far.
 //!
 //! In: blocks of samples. Out: sums in `f64`. Never: depends on how the samples were blocked.
 
 use super::algebra::{LANES, Lanes};
 use super::kernel::{Block, Count, Planes, accumulate};
-use super::layout::{Layout, for_each_register, load_row};
+use super::layout::{Layout, load_row, registers, shifted};
 use super::plan::{Element, PlacedSet, Plan};
 use super::workers::Workers;
+use pulp::{Simd, WithSimd};
 
 /// Samples that an `f32` sum takes before it is moved to `f64`.
 pub(super) const CHUNK: u64 = 256;
 
-/// Samples after which the reference moves from the first exposure to the mean so far.
-const SAMPLES_BEFORE_RECENTERING: u64 = 16;
+/// Numbers of samples after which the reference moves to the mean so far. High powers need a good one early.
+fn recenterings(order: usize) -> &'static [u64] {
+    if order == 2 { &[16] } else { &[4, 16] }
+}
 
 /// Accumulators by group, then band; see [`Layout`] and [`Plan::groups`].
 type Groups<T> = Vec<Vec<Vec<T>>>;
@@ -80,12 +83,12 @@ impl RunMoments {
             self.refer_to_frame(layout, first);
         }
         while !samples.is_empty() {
-            let (now, later) = samples.split_at(samples.len().min(self.until_next_step() as usize));
+            let (now, later) = samples.split_at(samples.len().min(self.until_next_step(plan.order) as usize));
             let block = Block { plan, layout: *layout, reference: &self.reference, samples: now };
             let mut bands = bands_of(&mut self.chunk);
             workers.for_each(&mut bands, |band, sums| accumulate(&block, band, sums));
             self.samples += now.len() as u64;
-            if self.samples == SAMPLES_BEFORE_RECENTERING {
+            if recenterings(plan.order).contains(&self.samples) {
                 self.recenter(workers, plan, layout);
             }
             if self.samples.is_multiple_of(CHUNK) {
@@ -96,12 +99,9 @@ impl RunMoments {
     }
 
     /// Samples until the sums are next moved in reference or precision.
-    fn until_next_step(&self) -> u64 {
-        if self.samples < SAMPLES_BEFORE_RECENTERING {
-            SAMPLES_BEFORE_RECENTERING - self.samples
-        } else {
-            CHUNK - self.samples % CHUNK
-        }
+    fn until_next_step(&self, order: usize) -> u64 {
+        let next = recenterings(order).iter().find(|&&at| at > self.samples);
+        next.map_or(CHUNK - self.samples % CHUNK, |at| at - self.samples)
     }
 
     fn refer_to_frame<T: Count>(&mut self, layout: &Layout, planes: &Planes<'_, T>) {
@@ -189,6 +189,24 @@ impl RunMoments {
         sums
     }
 
+    /// One padded row of sums in `f64`; `false` outside the camera region.
+    #[inline(always)]
+    pub(super) fn sums_row(
+        &self,
+        layout: &Layout,
+        group: usize,
+        accumulator: usize,
+        y: i64,
+        sums: &mut [f64],
+    ) -> bool {
+        let Some(chunk) = layout.row(&self.chunk[group], accumulator, y) else { return false };
+        sums.iter_mut().zip(chunk).for_each(|(sum, &chunk)| *sum = f64::from(chunk));
+        if let Some(long) = self.long.as_ref().and_then(|long| layout.row(&long[group], accumulator, y)) {
+            sums.iter_mut().zip(long).for_each(|(sum, long)| *sum += long);
+        }
+        true
+    }
+
     /// Reference of one channel, counts.
     pub(super) fn reference(&self, channel: usize) -> &[f32] {
         &self.reference[channel]
@@ -217,12 +235,14 @@ trait Sum: Copy + Default + Into<f64> + Send + Sync {
 }
 
 impl Sum for f32 {
+    #[inline(always)]
     fn rounded(value: f64) -> Self {
         value as Self
     }
 }
 
 impl Sum for f64 {
+    #[inline(always)]
     fn rounded(value: f64) -> Self {
         value
     }
@@ -262,29 +282,27 @@ impl Shift<'_> {
     fn squares<T: Sum>(&self, first_moments: &[Vec<T>], band: usize, squares: &mut [T]) {
         for channel in 0..self.plan.algebra.channels() {
             let squares = &mut squares[channel * self.layout.plane_len(band)..];
-            for_each_register(self.layout, band, |y, x, place| {
+            for (y, x, place) in registers(self.layout, band) {
                 let sums = self.layout.load(first_moments, channel, y, x);
                 let shift = self.shift(channel, y, x);
                 for lane in 0..LANES {
                     let moved = (self.samples * shift[lane] - 2.0 * sums[lane]) * shift[lane];
                     squares[place + lane] = T::rounded(squares[place + lane].into() + moved);
                 }
-            });
+            }
         }
     }
 
     fn terms<T: Sum>(&self, smaller: &[Vec<Vec<T>>], degree: usize, band: usize, sums: &mut [T]) {
         if degree == 2 {
-            return pulp::Arch::new().dispatch(
-                #[inline(always)]
-                || self.pairs(&smaller[1], band, sums),
-            );
+            let pairs = MovingPairs { shift: self, first_moments: &smaller[1], band, sums };
+            return pulp::Arch::new().dispatch(pairs);
         }
         let coefficients = self.plan.algebra.coefficients(degree);
         let mut moved = Products::default();
         for term in &self.plan.groups[degree] {
             for set in &term.sets {
-                for_each_register(self.layout, band, |y, x, place| {
+                for (y, x, place) in registers(self.layout, band) {
                     self.move_set(set, smaller, (y, x), &mut moved);
                     for (coefficient, moved) in moved.total.iter().enumerate().take(coefficients) {
                         let start = (term.first + coefficient) * self.layout.plane_len(band) + place;
@@ -292,43 +310,68 @@ impl Shift<'_> {
                             *sum = T::rounded((*sum).into() + moved);
                         }
                     }
-                });
+                }
             }
         }
     }
 
     /// Pairs: the new sum is the old one less `shift_b S_a` and `shift_a S'_b`, `S'` the sum about the new reference.
+    ///
+    /// Row by row, as this is done for every subsequence at full camera size.
     #[inline(always)]
     fn pairs<T: Sum>(&self, first_moments: &[Vec<T>], band: usize, sums: &mut [T]) {
-        let (algebra, plane) = (&self.plan.algebra, self.layout.plane_len(band));
+        let (algebra, layout) = (&self.plan.algebra, self.layout);
         let channels = algebra.channels();
-        let shares: Vec<(usize, usize, usize)> = (0..channels)
-            .flat_map(|a| (0..channels).map(move |b| (a, b)))
-            .filter(|(a, b)| self.plan.symmetric() || a <= b)
-            .map(|(a, b)| (a, b, algebra.product_index(1, 1, a, b)))
-            .collect();
         for term in &self.plan.groups[2] {
             for set in &term.sets {
-                let [a, b] = [0, 1].map(|pixel| set.elements[pixel]);
-                let [first_a, first_b] = [1, 2].map(|mask| set.subsets[mask].first);
-                for_each_register(self.layout, band, |y, x, place| {
-                    let at = |e: Element| (y + i64::from(e.dy), x + i64::from(e.dx));
-                    let ((ya, xa), (yb, xb)) = (at(a), at(b));
-                    for &(channel_a, channel_b, coefficient) in &shares {
-                        let sum_a = self.layout.load(first_moments, first_a + channel_a, ya, xa);
-                        let sum_b = self.layout.load(first_moments, first_b + channel_b, yb, xb);
-                        let shift_a = self.shift(channel_a, ya, xa);
-                        let shift_b = self.shift(channel_b, yb, xb);
-                        let start = (term.first + coefficient) * plane + place;
-                        for (lane, sum) in sums[start..start + LANES].iter_mut().enumerate() {
-                            let new_b = sum_b[lane] - self.samples * shift_b[lane];
-                            let moved = shift_b[lane] * sum_a[lane] + shift_a[lane] * new_b;
-                            *sum = T::rounded((*sum).into() - moved);
+                for (row, y) in layout.rows(band).enumerate() {
+                    for a in 0..channels {
+                        for b in if self.plan.symmetric() { 0 } else { a }..channels {
+                            let plane = term.first + algebra.product_index(1, 1, a, b);
+                            let start = plane * layout.plane_len(band) + row * layout.stride;
+                            let sums = &mut sums[start..start + layout.stride];
+                            self.pair_row(first_moments, set, (a, b), y as i64, sums);
                         }
                     }
-                });
+                }
             }
         }
+    }
+
+    /// One row of one pair, its pixels from channels `a` and `b`.
+    #[inline(always)]
+    fn pair_row<T: Sum>(
+        &self,
+        first_moments: &[Vec<T>],
+        set: &PlacedSet,
+        (a, b): (usize, usize),
+        y: i64,
+        sums: &mut [T],
+    ) {
+        let [Element { dy: dy_a, dx: dx_a, .. }, Element { dy: dy_b, dx: dx_b, .. }] =
+            [set.elements[0], set.elements[1]];
+        let (ya, yb) = (y + i64::from(dy_a), y + i64::from(dy_b));
+        let row = |accumulator, y| self.layout.row(first_moments, accumulator, y);
+        let Some((sum_a, shift_a)) = row(set.subsets[1].first + a, ya).zip(self.shift_row(a, ya)) else {
+            return;
+        };
+        let Some((sum_b, shift_b)) = row(set.subsets[2].first + b, yb).zip(self.shift_row(b, yb)) else {
+            return;
+        };
+        let columns = self.layout.shared_columns(dx_a, dx_b);
+        let of_a = shifted(sum_a, columns.clone(), dx_a).iter().zip(shifted(shift_a, columns.clone(), dx_a));
+        let of_b = shifted(sum_b, columns.clone(), dx_b).iter().zip(shifted(shift_b, columns.clone(), dx_b));
+        for ((sum, (sum_a, shift_a)), (sum_b, shift_b)) in sums[columns].iter_mut().zip(of_a).zip(of_b) {
+            let (sum_a, shift_a): (f64, f64) = ((*sum_a).into(), f64::from(*shift_a));
+            let (sum_b, shift_b): (f64, f64) = ((*sum_b).into(), f64::from(*shift_b));
+            let moved = shift_b * sum_a + shift_a * (sum_b - self.samples * shift_b);
+            *sum = T::rounded((*sum).into() - moved);
+        }
+    }
+
+    fn shift_row(&self, channel: usize, y: i64) -> Option<&[f32]> {
+        let y = usize::try_from(y).ok().filter(|&y| y < self.layout.height)?;
+        Some(&self.shifts[channel][y * self.layout.stride..(y + 1) * self.layout.stride])
     }
 
     /// What the change of reference adds to one set's sum at one register of pixels.
@@ -387,6 +430,23 @@ impl Shift<'_> {
             }
             _ => [0.0; LANES],
         }
+    }
+}
+
+/// The work of [`Shift::pairs`], compiled for the widest registers.
+struct MovingPairs<'a, T> {
+    shift: &'a Shift<'a>,
+    first_moments: &'a [Vec<T>],
+    band: usize,
+    sums: &'a mut [T],
+}
+
+impl<T: Sum> WithSimd for MovingPairs<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        self.shift.pairs(self.first_moments, self.band, self.sums);
     }
 }
 
