@@ -298,6 +298,12 @@ impl Shift<'_> {
             let pairs = MovingPairs { shift: self, first_moments: &smaller[1], band, sums };
             return pulp::Arch::new().dispatch(pairs);
         }
+        pulp::Arch::new().dispatch(MovingTerms { shift: self, smaller, degree, band, sums });
+    }
+
+    /// Terms of any number of pixels, one register of pixels at a time.
+    #[inline(always)]
+    fn terms_of_any_size<T: Sum>(&self, smaller: &[Vec<Vec<T>>], degree: usize, band: usize, sums: &mut [T]) {
         let coefficients = self.plan.algebra.coefficients(degree);
         let mut moved = Products::default();
         for term in &self.plan.groups[degree] {
@@ -447,6 +453,24 @@ impl<T: Sum> WithSimd for MovingPairs<'_, T> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         self.shift.pairs(self.first_moments, self.band, self.sums);
+    }
+}
+
+/// The work of [`Shift::terms_of_any_size`], compiled for the widest registers.
+struct MovingTerms<'a, T> {
+    shift: &'a Shift<'a>,
+    smaller: &'a [Vec<Vec<T>>],
+    degree: usize,
+    band: usize,
+    sums: &'a mut [T],
+}
+
+impl<T: Sum> WithSimd for MovingTerms<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        self.shift.terms_of_any_size(self.smaller, self.degree, self.band, self.sums);
     }
 }
 
