@@ -16,10 +16,14 @@
 //! | [`config`] | dyes, dichroics and settings, checked |
 //! | [`app`] | the commands; the only room that knows every other |
 
+pub mod acquisition;
 pub mod app;
 pub mod config;
+pub mod control;
 pub mod display;
 pub mod files;
+pub mod pipeline;
 pub mod reconstruction;
+pub mod recording;
 pub mod report;
 pub mod sofi;

@@ -21,7 +21,7 @@ struct Room {
 }
 
 /// The arrows that are allowed. A new arrow is a decision: it is made here, with its reason in the same change.
-const ROOMS: [Room; 7] = [
+const ROOMS: [Room; 11] = [
     // The mathematics knows nothing of the program: no file, no device, no log.
     Room {
         name: "sofi",
@@ -38,11 +38,48 @@ const ROOMS: [Room; 7] = [
     },
     Room { name: "report", rooms: &["display"], packages: &[], crates: None },
     Room { name: "config", rooms: &["sofi"], packages: &[], crates: None },
-    Room { name: "reconstruction", rooms: &["sofi"], packages: &[], crates: None },
+    Room {
+        name: "reconstruction",
+        rooms: &["acquisition", "pipeline", "sofi"],
+        packages: &["sofiscope_hal"],
+        crates: None,
+    },
+    // Plumbing knows no physics and no device.
+    Room {
+        name: "pipeline",
+        rooms: &[],
+        packages: &[],
+        crates: Some(&["rtrb", "thiserror", "triple_buffer"]),
+    },
+    Room {
+        name: "acquisition",
+        rooms: &["pipeline"],
+        packages: &["sofiscope_hal"],
+        crates: Some(&["bytemuck", "serde", "serde_json", "thiserror", "tracing"]),
+    },
+    Room {
+        name: "recording",
+        rooms: &["acquisition", "files", "pipeline"],
+        packages: &["sofiscope_hal"],
+        crates: None,
+    },
+    // Plans and the order of steps; devices only through their contracts.
+    Room { name: "control", rooms: &["config"], packages: &["sofiscope_hal"], crates: None },
     // The composition root knows every room and is known by none; `main.rs` alone calls it.
     Room {
         name: "app",
-        rooms: &["config", "display", "files", "reconstruction", "report", "sofi"],
+        rooms: &[
+            "acquisition",
+            "config",
+            "control",
+            "display",
+            "files",
+            "pipeline",
+            "reconstruction",
+            "recording",
+            "report",
+            "sofi",
+        ],
         packages: &["sofiscope_hal", "sofiscope_sim"],
         crates: None,
     },

@@ -1,9 +1,36 @@
 //! Contracts between the instrument and its devices: the words both sides use.
+//!
+//! | module | contract |
+//! |---|---|
+//! | [`camera`] | [`Camera`], settings and read-back; [`FrameStream`], pixels into the caller's memory |
+//! | [`trigger`] | [`TriggerSource`], what starts the exposures of all cameras together |
+//! | [`numbering`] | raw frame ids to [`ExposureIndex`], at the driver's edge |
+//! | [`time`] | clocks that must never be mixed |
+//! | [`error`] | [`DeviceError`]: which device, what happened, what the caller can do |
+//! | [`conformance`] | what every camera driver must pass |
+//!
+//! In: nothing. Out: types and traits. Never: talks to a device, starts a thread, reads a clock.
+
+pub mod camera;
+pub mod conformance;
+pub mod error;
+pub mod numbering;
+pub mod time;
+pub mod trigger;
+
+pub use camera::{
+    Camera, CameraCapabilities, CameraIdentity, CameraSettings, FrameInfo, FrameStatus, FrameStream, Region,
+    TriggerMode,
+};
+pub use error::{DeviceError, ErrorKind};
+pub use numbering::{BlockId, Epoch, ExposureNumbering, IdRule};
+pub use time::{DeviceTime, HostTime};
+pub use trigger::TriggerSource;
 
 use serde::{Deserialize, Serialize};
 
 /// The two physical detection channels behind the emission dichroic (paper, Fig. 1a).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Channel {
     /// Camera R: the short-wavelength side of the dichroic.
@@ -15,9 +42,42 @@ pub enum Channel {
 impl Channel {
     /// Both channels in the order in which files and results list them.
     pub const BOTH: [Self; 2] = [Self::Reflected, Self::Transmitted];
+
+    /// Place in arrays of both channels.
+    #[must_use]
+    pub fn index(self) -> usize {
+        match self {
+            Self::Reflected => 0,
+            Self::Transmitted => 1,
+        }
+    }
+
+    /// The other channel.
+    #[must_use]
+    pub fn other(self) -> Self {
+        match self {
+            Self::Reflected => Self::Transmitted,
+            Self::Transmitted => Self::Reflected,
+        }
+    }
+
+    /// `R` or `T`, as tables name it.
+    #[must_use]
+    pub fn letter(self) -> char {
+        match self {
+            Self::Reflected => 'R',
+            Self::Transmitted => 'T',
+        }
+    }
+}
+
+impl std::fmt::Display for Channel {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(formatter, "camera {}", self.letter())
+    }
 }
 
 /// Exposures since the cameras were armed; never wraps; the pairing key.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct ExposureIndex(pub u64);

@@ -178,7 +178,7 @@ impl World {
     }
 
     fn light(&self, channel: Channel, exposure: ExposureIndex, photons: &mut [f32]) {
-        let path = &self.optical_paths[index(channel)];
+        let path = &self.optical_paths[channel.index()];
         photons.copy_from_slice(&path.steady);
         for &(emitter, on_fraction) in self.activity.of(exposure) {
             path.spots.add(emitter as usize, on_fraction, photons, self.scene.width_px());
@@ -190,21 +190,13 @@ impl World {
             /// Photons of the frame in work; kept by each thread, so that frames need no new memory.
             static PHOTONS: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
         }
-        let stream = Stream::Noise { channel: index(channel) as u64, exposure: exposure.0 };
+        let stream = Stream::Noise { channel: channel.index() as u64, exposure: exposure.0 };
         let mut rng = stream.generator(self.seed);
         PHOTONS.with_borrow_mut(|photons| {
             photons.resize(counts.len(), 0.0);
             self.light(channel, exposure, photons);
-            self.optical_paths[index(channel)].digitizer.draw(photons, &mut rng, counts);
+            self.optical_paths[channel.index()].digitizer.draw(photons, &mut rng, counts);
         });
-    }
-}
-
-/// Place of a channel in arrays.
-pub(crate) fn index(channel: Channel) -> usize {
-    match channel {
-        Channel::Reflected => 0,
-        Channel::Transmitted => 1,
     }
 }
 
@@ -224,7 +216,7 @@ impl OpticalPath {
                 spots.add(number, 1.0, &mut steady, width);
             }
         }
-        let digitizer = Digitizer::new(scene.cameras()[index(channel)], background);
+        let digitizer = Digitizer::new(scene.cameras()[channel.index()], background);
         Self { steady, spots, digitizer }
     }
 }

@@ -1,0 +1,1 @@
+//! What every camera driver must pass, whatever stands behind it.

@@ -1,0 +1,22 @@
+//! From cameras to frame pairs: memory on loan, losses as values, pairs by exposure.
+//!
+//! ```text
+//! camera R ─ grabber ─┐
+//!                     ├─► pairing ─► ExposureRecord in order of exposure ─► recording, analysis
+//! camera T ─ grabber ─┘       └────► Ledger: what became of every exposure
+//! ```
+//!
+//! In: frames in the order in which cameras deliver them.
+//! Out: every exposure of each camera once, in order: a frame, or the reason why there is none.
+//! Never: waits for a consumer, looks at pixels, pairs by arrival, allocates memory for pixels after arming.
+//! Fails: frames are lost with a [`Loss`]; only a camera that is gone ends the run.
+
+mod ledger;
+mod loss;
+mod pool;
+mod record;
+
+pub use ledger::{Analysis, LedgerError, LedgerRow, PairState, RowState};
+pub use loss::Loss;
+pub use pool::{Frame, FrameFacts, FrameMemory, FramePool, PAGE_BYTES};
+pub use record::{ExposureRecord, Side};

@@ -1,0 +1,193 @@
+//! Memory for frames: filled before arming, lent to readers, home again when the last reader lets go.
+//!
+//! In: the number and size of frames, once. Out: [`FrameMemory`] to write into, [`Frame`]s to read.
+//! Never: allocates after [`FramePool::new`], locks, waits. Fails: `None` when every slot is out on loan.
+//!
+//! The pool keeps one reference to each slot. A slot whose only reference is the pool's can be written again,
+//! so a frame needs no way back: the last reader that drops its [`Frame`] has returned the memory.
+
+use bytemuck::cast_slice;
+use sofiscope_hal::{Channel, FrameInfo, HostTime};
+use std::sync::Arc;
+
+/// Pixels begin on a page, as writing past the page cache demands.
+pub const PAGE_BYTES: usize = 4096;
+
+/// What is known of a frame beside its pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FrameFacts {
+    /// The camera.
+    pub channel: Channel,
+    /// What the camera says.
+    pub info: FrameInfo,
+    /// When the frame was received.
+    pub received: HostTime,
+}
+
+/// One slot: memory of a page-aligned frame inside a slightly larger allocation.
+#[derive(Debug)]
+struct Slot {
+    memory: Vec<u16>,
+    first: usize,
+    pixels: usize,
+    facts: Option<FrameFacts>,
+}
+
+impl Slot {
+    fn new(pixels: usize) -> Self {
+        let slack = PAGE_BYTES / size_of::<u16>();
+        // Written, not only reserved: the pages exist before the first frame comes.
+        let memory = vec![1; pixels + slack];
+        let first = memory.as_ptr().align_offset(PAGE_BYTES).min(slack);
+        Self { memory, first, pixels, facts: None }
+    }
+
+    fn counts(&self) -> &[u16] {
+        &self.memory[self.first..self.first + self.pixels]
+    }
+}
+
+/// A frame to read; cloning it shares the memory.
+#[derive(Debug, Clone)]
+pub struct Frame(Arc<Slot>);
+
+impl Frame {
+    /// A frame with memory of its own, outside of any pool; for tests and for reading files.
+    #[must_use]
+    pub fn of_counts(facts: FrameFacts, counts: &[u16]) -> Self {
+        let mut slot = Slot::new(counts.len());
+        let first = slot.first;
+        slot.memory[first..first + counts.len()].copy_from_slice(counts);
+        slot.facts = Some(facts);
+        Self(Arc::new(slot))
+    }
+
+    /// The facts of this frame.
+    #[must_use]
+    pub fn facts(&self) -> &FrameFacts {
+        self.0.facts.as_ref().expect("a slot becomes a frame together with its facts")
+    }
+
+    /// Pixels, row by row, in counts.
+    #[must_use]
+    pub fn counts(&self) -> &[u16] {
+        self.0.counts()
+    }
+
+    /// The same pixels as they lie in memory; the first byte begins a page.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        cast_slice(self.counts())
+    }
+}
+
+/// A slot that nobody else holds, to be written.
+#[derive(Debug)]
+pub struct FrameMemory<'a>(&'a mut Arc<Slot>);
+
+impl FrameMemory<'_> {
+    /// The memory for the pixels, row by row.
+    pub fn counts_mut(&mut self) -> &mut [u16] {
+        let slot = Arc::get_mut(self.0).expect("the pool lends a slot only while nobody else holds it");
+        &mut slot.memory[slot.first..slot.first + slot.pixels]
+    }
+
+    /// Makes what was written a frame.
+    #[must_use]
+    pub fn into_frame(self, facts: FrameFacts) -> Frame {
+        let slot = Arc::get_mut(self.0).expect("the pool lends a slot only while nobody else holds it");
+        slot.facts = Some(facts);
+        Frame(Arc::clone(self.0))
+    }
+}
+
+/// Slots of equal size.
+#[derive(Debug)]
+pub struct FramePool {
+    slots: Vec<Arc<Slot>>,
+    next: usize,
+}
+
+impl FramePool {
+    /// A pool of `slots` frames of `pixels` pixels, its memory written once so that it is really there.
+    #[must_use]
+    pub fn new(slots: usize, pixels: usize) -> Self {
+        Self { slots: (0..slots).map(|_| Arc::new(Slot::new(pixels))).collect(), next: 0 }
+    }
+
+    /// Frames that the pool can hold.
+    #[must_use]
+    pub fn capacity(&self) -> usize {
+        self.slots.len()
+    }
+
+    /// A slot that nobody holds; `None` when all are out.
+    pub fn take(&mut self) -> Option<FrameMemory<'_>> {
+        let slots = self.slots.len();
+        let free = (0..slots)
+            .map(|step| (self.next + step) % slots)
+            .find(|&slot| Arc::get_mut(&mut self.slots[slot]).is_some())?;
+        self.next = (free + 1) % slots;
+        Some(FrameMemory(&mut self.slots[free]))
+    }
+
+    /// Frames out on loan at this moment.
+    #[must_use]
+    pub fn lent(&self) -> usize {
+        self.slots.iter().filter(|slot| Arc::strong_count(slot) > 1).count()
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use sofiscope_hal::{BlockId, DeviceTime, Epoch, ExposureIndex, FrameStatus};
+
+    pub(crate) fn facts(channel: Channel, exposure: u64) -> FrameFacts {
+        let info = FrameInfo {
+            exposure: ExposureIndex(exposure),
+            block_id: BlockId(exposure),
+            epoch: Epoch(0),
+            device_time: DeviceTime(exposure * 20_000_000),
+            status: FrameStatus::Complete,
+        };
+        FrameFacts { channel, info, received: HostTime(exposure * 20_000_000 + 1000) }
+    }
+
+    #[test]
+    fn memory_comes_home_with_the_last_reader() {
+        let mut pool = FramePool::new(2, 10);
+        let fill = |pool: &mut FramePool, value: u16| {
+            let mut memory = pool.take()?;
+            memory.counts_mut().fill(value);
+            Some(memory.into_frame(facts(Channel::Reflected, u64::from(value))))
+        };
+        let first = fill(&mut pool, 1).unwrap();
+        let second = fill(&mut pool, 2).unwrap();
+        assert!(fill(&mut pool, 3).is_none());
+        let other_reader = first.clone();
+        drop(first);
+        assert!(fill(&mut pool, 3).is_none());
+        assert_eq!(other_reader.counts(), [1; 10]);
+        drop(other_reader);
+        let third = fill(&mut pool, 3).unwrap();
+        assert_eq!((second.counts()[0], third.counts()[0], pool.lent()), (2, 3, 2));
+    }
+
+    #[test]
+    fn slots_that_are_never_filled_are_not_lost() {
+        let mut pool = FramePool::new(1, 4);
+        for _ in 0..3 {
+            assert!(pool.take().is_some());
+        }
+    }
+
+    #[test]
+    fn pixels_begin_on_a_page() {
+        for pixels in [1, 100, 64 * 64] {
+            let frame = Frame::of_counts(facts(Channel::Transmitted, 0), &vec![7; pixels]);
+            assert_eq!(frame.bytes().as_ptr().align_offset(PAGE_BYTES), 0);
+            assert_eq!(frame.counts(), vec![7; pixels]);
+        }
+    }
+}

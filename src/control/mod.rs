@@ -1,0 +1,1 @@
+//! Plans as data, and the one hand that carries them out.

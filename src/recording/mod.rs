@@ -1,0 +1,1 @@
+//! Frame pairs and provenance to disk, lossless or loudly not.
