@@ -11,12 +11,23 @@
 //! Never: waits for a consumer, looks at pixels, pairs by arrival, allocates memory for pixels after arming.
 //! Fails: frames are lost with a [`Loss`]; only a camera that is gone ends the run.
 
+mod accounts;
+mod alignment;
+mod dispatch;
+mod grabber;
 mod ledger;
 mod loss;
+mod pairing;
 mod pool;
 mod record;
+mod shedding;
 
+pub use accounts::{Accounts, CameraAccount, LossRange, Tally};
+pub use dispatch::{Dispatch, DispatchReport, FramePair, LeaveOut, Progress};
+pub use grabber::{Grabber, GrabberEnd, GrabberStatus, HostClock, Patience};
 pub use ledger::{Analysis, LedgerError, LedgerRow, PairState, RowState};
 pub use loss::Loss;
+pub use pairing::{Grabbed, Pairing, PairingEvent, PairingSettings, Resolved, Surplus};
 pub use pool::{Frame, FrameFacts, FrameMemory, FramePool, PAGE_BYTES};
 pub use record::{ExposureRecord, Side};
+pub use shedding::{Pressure, PressureGauge, Shedding};

@@ -49,7 +49,7 @@ impl<T: Send> Viewer<T> {
         if !self.output.update() {
             return None;
         }
-        let Numbered { number, value } = self.output.peek_output_buffer();
+        let Numbered { number, value } = self.output.output_buffer();
         Some((*number, value))
     }
 }
