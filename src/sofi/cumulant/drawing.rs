@@ -72,12 +72,7 @@ fn fine_image(
 ) -> Array2<f32> {
     let n = plan.order;
     let mut image = Array2::from_elem((n * layout.height, n * layout.width), f32::NAN);
-    let involved: Vec<&Array2<bool>> = masks
-        .iter()
-        .zip(&plan.algebra.monomials(n)[spectral_channel])
-        .filter(|(_, exponent)| **exponent > 0)
-        .filter_map(|(mask, _)| mask.as_ref())
-        .collect();
+    let involved = involved_masks(plan, masks, spectral_channel);
     for (position, term) in plan.groups[n].iter().enumerate() {
         let (p, q) = (position / n, position % n);
         let reach = Reach::of(&term.sets);
@@ -91,6 +86,20 @@ fn fine_image(
         }
     }
     image
+}
+
+/// The masks of the channels that a spectral channel takes pixels from.
+pub(super) fn involved_masks<'a>(
+    plan: &Plan,
+    masks: &'a [PixelMask],
+    spectral_channel: usize,
+) -> Vec<&'a Array2<bool>> {
+    masks
+        .iter()
+        .zip(&plan.algebra.monomials(plan.order)[spectral_channel])
+        .filter(|(_, exponent)| **exponent > 0)
+        .filter_map(|(mask, _)| mask.as_ref())
+        .collect()
 }
 
 fn camera_image(
@@ -112,7 +121,8 @@ fn line_of<'a>(layout: &Layout, sums: &'a [Vec<f32>], plane: usize, y: usize) ->
     &sums[band][start..start + layout.width]
 }
 
-fn touches_mask(masks: &[&Array2<bool>], sets: &[PlacedSet], y: usize, x: usize) -> bool {
+/// Whether a pixel of any of the sets is masked.
+pub(super) fn touches_mask(masks: &[&Array2<bool>], sets: &[PlacedSet], y: usize, x: usize) -> bool {
     let masked = |mask: &Array2<bool>, dy: i32, dx: i32| {
         let inside = y.checked_add_signed(dy as isize).zip(x.checked_add_signed(dx as isize));
         inside.is_some_and(|place| mask.get(place).copied().unwrap_or(false))
@@ -124,7 +134,7 @@ fn touches_mask(masks: &[&Array2<bool>], sets: &[PlacedSet], y: usize, x: usize)
 }
 
 /// Extent of the pixels of a sub-position around its base pixel.
-struct Reach {
+pub(super) struct Reach {
     up: usize,
     down: usize,
     left: usize,
@@ -132,7 +142,7 @@ struct Reach {
 }
 
 impl Reach {
-    fn of(sets: &[PlacedSet]) -> Self {
+    pub(super) fn of(sets: &[PlacedSet]) -> Self {
         let elements = || sets.iter().flat_map(|set| &set.elements);
         let farthest =
             |distances: &mut dyn Iterator<Item = i32>| distances.max().unwrap_or(0).max(0) as usize;
@@ -144,11 +154,11 @@ impl Reach {
         }
     }
 
-    fn rows(&self, height: usize) -> std::ops::Range<usize> {
+    pub(super) fn rows(&self, height: usize) -> std::ops::Range<usize> {
         self.up..height.saturating_sub(self.down)
     }
 
-    fn columns(&self, width: usize) -> std::ops::Range<usize> {
+    pub(super) fn columns(&self, width: usize) -> std::ops::Range<usize> {
         self.left..width.saturating_sub(self.right)
     }
 }

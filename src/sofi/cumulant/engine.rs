@@ -1,5 +1,6 @@
 //! The engine: exposures in, subsequence after subsequence, one bounded state.
 
+use super::binned::{self, Binning, Canvas, CoarseImages};
 use super::drawing::{Drawing, Images, Incomplete, PixelMask, expand};
 use super::finalize::{add_results, result_planes};
 use super::kernel::{Count, Planes};
@@ -203,6 +204,42 @@ impl<T: Count> CumulantEngine<T> {
         Some(Drawing { cumulants, means, variances, runs, samples, incomplete_samples })
     }
 
+    /// Draws with squares of camera pixels averaged, for a quick look at a large camera; see [`draw`](Self::draw).
+    #[must_use]
+    pub fn draw_binned(
+        &self,
+        workers: &impl Workers,
+        incomplete: Incomplete,
+        binning: Binning,
+    ) -> Option<Drawing> {
+        let open: Vec<&RunMoments> = [&self.head, &self.open]
+            .into_iter()
+            .flatten()
+            .filter(|run| self.is_usable(run, incomplete))
+            .collect();
+        let mut used = self.used;
+        open.iter().for_each(|run| self.count_run(run, &mut used));
+        if used.samples == 0 {
+            return None;
+        }
+        let weight = used.samples as f64 / self.settings.subsequence as f64;
+        let canvas = Canvas {
+            plan: &self.plan,
+            layout: &self.layout,
+            masks: &self.masks,
+            binning,
+            scale: (1.0 / weight) as f32,
+        };
+        let CoarseImages { cumulants, means, variances } = binned::draw(&canvas, workers, |band, sums| {
+            sums.clone_from(&self.results[band]);
+            for run in &open {
+                add_results(&self.plan, &self.layout, run, self.weight_of(run), band, sums);
+            }
+        });
+        let Used { runs, samples, incomplete_samples } = used;
+        Some(Drawing { cumulants, means, variances, runs, samples, incomplete_samples })
+    }
+
     /// Adds the state of a later part of the same stream, as if its exposures had been pushed here.
     ///
     /// # Errors
@@ -287,10 +324,19 @@ impl<T: Count> CumulantEngine<T> {
     }
 
     fn add_run(&self, workers: &impl Workers, run: &RunMoments, results: &mut [Vec<f32>], used: &mut Used) {
-        let weight = run.samples as f64 / self.settings.subsequence as f64;
+        let weight = self.weight_of(run);
         workers.for_each(results, |band, sums| {
             add_results(&self.plan, &self.layout, run, weight, band, sums);
         });
+        self.count_run(run, used);
+    }
+
+    /// The share of its exposures that a subsequence has.
+    fn weight_of(&self, run: &RunMoments) -> f64 {
+        run.samples as f64 / self.settings.subsequence as f64
+    }
+
+    fn count_run(&self, run: &RunMoments, used: &mut Used) {
         used.runs += 1;
         used.samples += run.samples;
         if run.samples + self.settings.lag_span() < self.settings.subsequence {

@@ -22,6 +22,7 @@
 //! ```
 
 mod algebra;
+mod binned;
 mod drawing;
 mod engine;
 mod finalize;
@@ -33,6 +34,7 @@ mod prefetch;
 mod settings;
 mod workers;
 
+pub use binned::Binning;
 pub use drawing::{Drawing, Incomplete, PixelMask};
 pub use engine::{CumulantEngine, Exposure, MergeError, PushError, RunSummary};
 pub use kernel::Count;
