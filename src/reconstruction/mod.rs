@@ -6,8 +6,12 @@
 
 mod chain;
 mod feed;
+mod live;
+mod preview;
 mod workers;
 
 pub use chain::{ChainSettings, FlatteningKind, ReconstructionError, Stages, reconstruct};
 pub use feed::{BLOCK, Feed, FeedError, feed};
+pub use live::{LiveAnalysis, LiveReport};
+pub use preview::{Preview, PreviewLink, PreviewReport, PreviewSettings, Shown, Snapshot, preview};
 pub use workers::AllCores;
