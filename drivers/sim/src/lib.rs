@@ -28,6 +28,7 @@ mod blinking;
 mod camera;
 mod emitters;
 mod geometry;
+pub mod instrument;
 mod optics;
 mod poisson;
 mod random;
@@ -36,6 +37,7 @@ pub mod score;
 mod truth;
 mod world;
 
+pub use instrument::{Film, InstrumentSettings, Oracle, Scenario, SimulatedInstrument, Source};
 pub use optics::psf_sigma_px;
 pub use scene::{
     CameraModel, Fault, Mirror, Optics, PatchGrid, Photophysics, Scene, SceneError, Shape, Species, View,

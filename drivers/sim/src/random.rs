@@ -17,6 +17,14 @@ pub(crate) enum Stream {
     Trajectory { species: u64, emitter: u64 },
     /// Photon and read noise of one exposure of one camera.
     Noise { channel: u64, exposure: u64 },
+    /// What befalls one exposure of one camera on its way to the reader.
+    Mishap { channel: u64, exposure: u64 },
+    /// The order in which a camera delivers one window of frames.
+    Order { channel: u64, window: u64 },
+    /// The error of the camera's clock at one exposure.
+    Jitter { channel: u64, exposure: u64 },
+    /// The counts of one frame of a film of noise.
+    Film { channel: u64, frame: u64 },
 }
 
 impl Stream {
@@ -26,6 +34,10 @@ impl Stream {
             Self::Patches => [2, 0, 0],
             Self::Trajectory { species, emitter } => [3, species, emitter],
             Self::Noise { channel, exposure } => [4, channel, exposure],
+            Self::Mishap { channel, exposure } => [5, channel, exposure],
+            Self::Order { channel, window } => [6, channel, window],
+            Self::Film { channel, frame } => [7, channel, frame],
+            Self::Jitter { channel, exposure } => [8, channel, exposure],
         }
     }
 

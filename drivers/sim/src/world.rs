@@ -127,6 +127,20 @@ impl World {
         Ok(())
     }
 
+    /// As [`Self::frame`], with the caller's memory for the photons, so that nothing is allocated.
+    pub(crate) fn frame_through(
+        &self,
+        channel: Channel,
+        exposure: ExposureIndex,
+        photons: &mut [f32],
+        counts: &mut [u16],
+    ) -> Result<(), WorldError> {
+        self.check(exposure.0, 1, counts.len())?;
+        self.check(exposure.0, 1, photons.len())?;
+        self.digitize(channel, exposure, photons, counts);
+        Ok(())
+    }
+
     /// The frames of both cameras for a range of exposures, one after the other, on the current rayon threads.
     ///
     /// The bytes are those of [`Self::frame`], whatever the number of threads.
@@ -190,13 +204,17 @@ impl World {
             /// Photons of the frame in work; kept by each thread, so that frames need no new memory.
             static PHOTONS: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
         }
-        let stream = Stream::Noise { channel: channel.index() as u64, exposure: exposure.0 };
-        let mut rng = stream.generator(self.seed);
         PHOTONS.with_borrow_mut(|photons| {
             photons.resize(counts.len(), 0.0);
-            self.light(channel, exposure, photons);
-            self.optical_paths[channel.index()].digitizer.draw(photons, &mut rng, counts);
+            self.digitize(channel, exposure, photons, counts);
         });
+    }
+
+    fn digitize(&self, channel: Channel, exposure: ExposureIndex, photons: &mut [f32], counts: &mut [u16]) {
+        let stream = Stream::Noise { channel: channel.index() as u64, exposure: exposure.0 };
+        let mut rng = stream.generator(self.seed);
+        self.light(channel, exposure, photons);
+        self.optical_paths[channel.index()].digitizer.draw(photons, &mut rng, counts);
     }
 }
 

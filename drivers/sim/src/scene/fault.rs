@@ -1,11 +1,11 @@
-//! What is wrong with a scene file, and what to do about it.
+//! What is wrong with a scene file or a scenario, and what to do about it.
 //!
 //! In: findings of the reader. Out: one error with all of them, in order of lines.
 //! Never: stops at the first.
 
 use std::fmt;
 
-/// One fault of a scene file.
+/// One fault of a scene file or a scenario.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fault {
     /// Line in the file, from 1; `None` where the text has no single place.
@@ -50,13 +50,13 @@ impl SceneError {
     }
 }
 
-fn count(faults: &[Fault]) -> String {
+pub(crate) fn count(faults: &[Fault]) -> String {
     match faults.len() {
         1 => "a fault".into(),
         many => format!("{many} faults"),
     }
 }
 
-fn list(faults: &[Fault]) -> String {
+pub(crate) fn list(faults: &[Fault]) -> String {
     faults.iter().map(|fault| format!("\n  {fault}")).collect()
 }

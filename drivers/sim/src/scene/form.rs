@@ -123,10 +123,33 @@ impl<'t> Form<'t> {
             self.missing(key, &wanted);
             return *limits.start();
         };
-        match as_whole(value.get_ref()) {
+        self.checked_whole(key, value.get_ref(), &limits)
+    }
+
+    /// A whole number within limits if the key is there.
+    pub(crate) fn whole_if_any(&self, key: &'static str, limits: RangeInclusive<u64>) -> Option<u64> {
+        self.find(key).map(|value| self.checked_whole(key, value.get_ref(), &limits))
+    }
+
+    /// A whole number or a list of them, in order, if the key is there.
+    pub(crate) fn wholes_if_any(&self, key: &'static str, limits: RangeInclusive<u64>) -> Option<Vec<u64>> {
+        let value = self.find(key)?.get_ref();
+        let Some(items) = value.as_array() else {
+            return Some(vec![self.checked_whole(key, value, &limits)]);
+        };
+        let mut numbers: Vec<u64> =
+            items.iter().map(|item| self.checked_whole(key, item.get_ref(), &limits)).collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        Some(numbers)
+    }
+
+    fn checked_whole(&self, key: &str, value: &DeValue<'_>, limits: &RangeInclusive<u64>) -> u64 {
+        let wanted = format!("give a whole number from {} to {}", limits.start(), limits.end());
+        match as_whole(value) {
             Some(number) if limits.contains(&number) => return number,
-            Some(number) => self.fault(key, format!("is {number}"), format!("give {wanted}")),
-            None => self.fault(key, "is no such number", format!("give {wanted}")),
+            Some(number) => self.fault(key, format!("is {number}"), wanted),
+            None => self.fault(key, "is no such number", wanted),
         }
         *limits.start()
     }

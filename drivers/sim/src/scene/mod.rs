@@ -8,8 +8,8 @@
 //! so unless a scene sets it they are *detected* photons, as in the paper.
 
 mod drawing;
-mod fault;
-mod form;
+pub(crate) mod fault;
+pub(crate) mod form;
 mod parts;
 mod shape;
 mod shipped;

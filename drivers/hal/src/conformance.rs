@@ -1,1 +1,0 @@
-//! What every camera driver must pass, whatever stands behind it.
