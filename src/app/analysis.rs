@@ -14,7 +14,7 @@ use crate::sofi::psf::{Psf, PsfError};
 use crate::sofi::spectra::Species;
 use crate::sofi::unmixing::{UnmixingError, UnmixingMatrix};
 use ndarray::array;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Exposures per subsequence in the paper (2000 frames in 10 runs).
 const PAPER_SUBSEQUENCE: u64 = 200;
@@ -26,7 +26,7 @@ const PAPER_PITCH_NM: f64 = 108.0;
 const ASSUMED_EMISSION_NM: f64 = 600.0;
 
 /// Most points of the bleaching curve.
-const TRACE_POINTS: u64 = 500;
+pub(super) const TRACE_POINTS: u64 = 500;
 
 /// Where frames come from.
 #[derive(Debug, Clone)]
@@ -120,12 +120,22 @@ impl Prepared {
             FeedError::Source(error) => error,
             FeedError::Push(error) => AppError::data(error),
         })?;
+        self.finish(&engine, feed, begun.elapsed())
+    }
+
+    /// The images of an engine that has had all its exposures; `took` is the time that they needed.
+    pub(super) fn finish<T: Count>(
+        self,
+        engine: &CumulantEngine<T>,
+        feed: Feed,
+        took: Duration,
+    ) -> Result<Analysis, AppError> {
         let drawing = engine.draw(&AllCores, Incomplete::AtLeastHalf).ok_or_else(|| {
             AppError::Data(
                 "no subsequence has half of its exposures; choose a shorter --subsequence".to_owned(),
             )
         })?;
-        let mut steps = vec![("cumulants".to_owned(), begun.elapsed().as_secs_f64())];
+        let mut steps = vec![("cumulants".to_owned(), took.as_secs_f64())];
         self.check_fluctuations(&drawing)?;
         let begun = Instant::now();
         let (stages, widths) = self.stages(&drawing)?;
@@ -151,7 +161,8 @@ impl Prepared {
         Ok(())
     }
 
-    fn stages(&self, drawing: &Drawing) -> Result<(Option<Stages>, Vec<Width>), AppError> {
+    /// Everything after the cumulants.
+    pub(super) fn stages(&self, drawing: &Drawing) -> Result<(Option<Stages>, Vec<Width>), AppError> {
         let Some(matrix) = &self.matrix else { return Ok((None, Vec::new())) };
         let widths = self.widths(drawing, matrix);
         let linearization = widths
@@ -180,7 +191,7 @@ impl Prepared {
     }
 
     /// The width of each species' point-spread function in camera pixels: given, from optics, or from the data.
-    fn widths(&self, drawing: &Drawing, matrix: &UnmixingMatrix) -> Vec<Width> {
+    pub(super) fn widths(&self, drawing: &Drawing, matrix: &UnmixingMatrix) -> Vec<Width> {
         let aperture = self.settings.numerical_aperture;
         let from_optics = |emission_nm: f64| 0.21 * emission_nm / aperture / self.pixel_pitch_nm;
         let kappa: Vec<_> = drawing.cumulants.iter().map(|image| image.view()).collect();

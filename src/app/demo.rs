@@ -1,18 +1,27 @@
 //! `demo`: the simulated two-camera microscope, frame by frame through the engine, scored against the truth.
 
 use super::AppError;
-use super::analysis::{Analysis, Prepared, Source};
+use super::analysis::{Analysis, Prepared, Source, TRACE_POINTS};
+use super::data_path::{AnalysisPart, DataPathSettings, PreviewPart};
+use super::live_run::{self, Devices, RunRequest};
+use super::preview_picture::compose;
+use super::progress::Progress;
 use super::results::{Scores, ensure_space, species_names, write_results};
 use super::score::{Images, Score, Stage, StageImages, score_images, text};
+use crate::acquisition::{Accounts, LeaveOut, Patience};
 use crate::config::{AnalysisSettings, RawAnalysis};
 use crate::files::OutputDirectory;
-use crate::reconstruction::BLOCK;
 use crate::report::{Crosstalk, CrosstalkReference, Resolution, ResolutionValue};
+use crate::sofi::cumulant::CumulantEngine;
 use crate::sofi::spectra::{Species, SpectralResponse};
 use serde::Serialize;
-use sofiscope_sim::{Scene, World};
+use sofiscope_hal::{CameraSettings, Region, TriggerMode};
+use sofiscope_sim::instrument::Pace;
+use sofiscope_sim::{InstrumentSettings, Scene, SimulatedInstrument, World};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
 
 /// The scene that the demo plays: three crossing filaments (paper, Fig. S4).
 const SCENE: &str = "figure-s4";
@@ -32,6 +41,9 @@ pub(super) struct DemoArguments {
     /// Directory for the results [default: sofiscope-demo, or the next free sofiscope-demo-N]
     #[arg(long)]
     out: Option<PathBuf>,
+    /// Speed of the simulated microscope; 1 is real time
+    #[arg(long, default_value_t = 2.0)]
+    speed: f64,
     /// Print one object on stdout
     #[arg(long)]
     json: bool,
@@ -57,25 +69,12 @@ struct Ended {
 /// # Errors
 /// [`AppError`]: a scene that cannot be used, an output that exists, a full disk.
 pub(super) fn run(arguments: &DemoArguments) -> Result<(), AppError> {
-    let world = World::new(&scene(arguments)?, arguments.seed);
+    let world = Arc::new(World::new(&scene(arguments)?, arguments.seed));
     let out = OutputDirectory::create(&out_path(arguments))?;
     eprintln!("simulated microscope: {} seen by two cameras; no hardware is involved", world.scene().name());
     let prepared = Prepared::new(settings()?, source(&world)?)?;
     ensure_space(&prepared, &out)?;
-    let frames = world.scene().frames();
-    let analysis = prepared.run::<u16>(|first, blocks| {
-        let last = frames.min(first + BLOCK as u64);
-        let count = (last - first) as usize;
-        let pixels = blocks[0].len() / BLOCK;
-        let [reflected, transmitted] = blocks else {
-            return Err(AppError::data("the simulated microscope has two cameras"));
-        };
-        let used = ..count * pixels;
-        world
-            .render_block(first..last, &mut reflected[used], &mut transmitted[used])
-            .map_err(AppError::data)?;
-        Ok(count)
-    })?;
+    let (analysis, _accounts) = play(&world, prepared, arguments)?;
     let score = score(&world, &analysis)?;
     let command = std::env::args().collect::<Vec<_>>().join(" ");
     let summary = write_results(&analysis, &out, &command, Some(scores(&score)))?;
@@ -97,6 +96,67 @@ pub(super) fn run(arguments: &DemoArguments) -> Result<(), AppError> {
     };
     println!("{}", serde_json::to_string(&ended).map_err(AppError::data)?);
     Ok(())
+}
+
+/// Plays the scene live: simulated cameras, the pipeline, the running cumulants.
+fn play(
+    world: &Arc<World>,
+    prepared: Prepared,
+    arguments: &DemoArguments,
+) -> Result<(Analysis, Accounts), AppError> {
+    let scene = world.scene();
+    let frames = scene.frames();
+    let pace = match arguments.speed {
+        speed if speed.is_finite() && speed > 0.0 => Pace::RealTime { speed },
+        _ => Pace::Unpaced,
+    };
+    let settings = InstrumentSettings { pace, exposures: Some(frames), ..InstrumentSettings::default() };
+    let instrument = SimulatedInstrument::new(sofiscope_sim::Source::World(Arc::clone(world)), settings);
+    let [reflected, transmitted] = instrument.cameras();
+    let mut devices = Devices {
+        cameras: [Box::new(reflected), Box::new(transmitted)],
+        trigger: Some(Box::new(instrument.trigger())),
+    };
+    let period = Duration::from_secs_f64(scene.exposure_ms() / 1e3);
+    let region = Region { left: 0, top: 0, width: scene.width_px() as u32, height: scene.height_px() as u32 };
+    let engine = CumulantEngine::new(prepared.engine.clone(), scene.height_px(), scene.width_px())
+        .map_err(AppError::usage)?;
+    let painter = prepared.clone();
+    let fine_pixels = scene.num_pixels() * prepared.grid.order().pow(2);
+    let request = RunRequest {
+        camera: CameraSettings { region, exposure: period, period, trigger: TriggerMode::External },
+        exposures: Some(frames),
+        data_path: DataPathSettings {
+            pixels: scene.num_pixels(),
+            period,
+            patience: Patience::Live,
+            leave_out: LeaveOut::new(),
+            pool_frames: None,
+        },
+        analysis: Some(AnalysisPart {
+            engine,
+            trace_every: frames.div_ceil(TRACE_POINTS),
+            preview: Some(PreviewPart {
+                every: Duration::from_millis(250),
+                fine_pixels,
+                compose: Box::new(move |snapshot| compose(&painter, snapshot)),
+            }),
+        }),
+        recorder: None,
+        watch_silence: true,
+    };
+    let mut progress = Progress::begin("pairs", frames);
+    let mut shown = 0;
+    let (report, reason, took) = live_run::run(&mut devices, request, |path| {
+        let exposures = path.progress().exposures;
+        progress.advance(exposures - shown);
+        shown = exposures;
+        None
+    })?;
+    progress.finish();
+    eprintln!("{reason:?} {:?} {:?} {:?}", report.preview, report.dispatch.accounts, report.defects);
+    let live = report.analysis.ok_or_else(|| AppError::data("no analysis"))?;
+    Ok((prepared.finish(&live.engine, live.feed, took)?, report.dispatch.accounts))
 }
 
 fn scene(arguments: &DemoArguments) -> Result<Scene, AppError> {

@@ -229,7 +229,8 @@ fn composite_of(analysis: &Analysis) -> Result<(RgbImage, f64), AppError> {
     Ok((overlay(images).map_err(AppError::data)?, pitch))
 }
 
-fn overlay(images: &[Array2<f32>]) -> Result<RgbImage, DisplayError> {
+/// The composite of some images, each in its color.
+pub(super) fn overlay(images: &[Array2<f32>]) -> Result<RgbImage, DisplayError> {
     let layers: Vec<Layer<'_>> = images
         .iter()
         .zip(default_colors(images.len()))

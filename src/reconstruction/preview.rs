@@ -41,7 +41,7 @@ pub struct Snapshot {
 }
 
 /// What the preview has shown so far.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Shown<P> {
     /// The picture; none before the first.
     pub picture: Option<Arc<P>>,
@@ -49,6 +49,12 @@ pub struct Shown<P> {
     pub pictures: u64,
     /// From the last frame received to the picture.
     pub latency: Duration,
+}
+
+impl<P> Clone for Shown<P> {
+    fn clone(&self) -> Self {
+        Self { picture: self.picture.clone(), ..*self }
+    }
 }
 
 impl<P> Default for Shown<P> {
