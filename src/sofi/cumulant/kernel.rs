@@ -42,8 +42,8 @@ pub(super) type Planes<'a, T> = Vec<&'a [T]>;
 /// Columns of a strip: few enough that a ring holds many exposures of them.
 const STRIP_COLUMNS: usize = 128;
 
-/// The most numbers that a ring holds, an eighth of the second-level cache.
-const RING_NUMBERS: usize = 32 * 1024;
+/// The most numbers that a ring holds, a quarter of the second-level cache.
+const RING_NUMBERS: usize = 64 * 1024;
 
 thread_local! {
     static RING: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };

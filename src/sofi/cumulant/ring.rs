@@ -46,7 +46,7 @@ impl Shape {
         self.frame * frames + PADDING
     }
 
-    /// Planes of one exposure.
+    /// Channels of every exposure.
     #[inline(always)]
     pub(super) fn channels(&self) -> usize {
         self.channels
