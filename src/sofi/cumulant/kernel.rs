@@ -1,15 +1,16 @@
 //! The hot loop: adds the products of a block of exposures to the running sums of one band.
 //!
-//! A tile of a few exposures is converted to `f32` about the reference once; then, for one register's width of
-//! pixels at a time, every sum stays in registers while the exposures of the tile pass. Sums grow exposure by
-//! exposure in the order of time, so the bits do not depend on how exposures were blocked, tiled or threaded.
+//! A band is worked on strip by strip, row by row, on pixels that a ring holds as `f32` about the reference. For one
+//! register's width of pixels at a time, every sum stays in registers while the exposures in the ring pass. Sums grow
+//! exposure by exposure in the order of time, so the bits do not depend on how exposures were blocked, cut or threaded.
 //!
 //! In: pixels as the cameras gave them, the reference, the plan. Out: sums of one band.
-//! Never: allocates after the first call on a thread, uses `f64`, reads a pixel of a frame twice per tile.
+//! Never: allocates for a band after the first call on a thread, uses `f64`.
 
 use super::layout::Layout;
 use super::plan::{Plan, Term};
-use super::prefetch::{LINE_BYTES, prefetch};
+use super::prefetch::prefetch;
+use super::ring::{self, Part, Shape};
 use crate::sofi::grid::Combinations;
 use pulp::{Arch, Simd, WithSimd};
 use std::cell::RefCell;
@@ -38,17 +39,14 @@ impl Count for f32 {
 /// The frames of one sample: one per lag and channel, channels fastest, each row-major without padding.
 pub(super) type Planes<'a, T> = Vec<&'a [T]>;
 
-/// The most numbers that a tile may hold, so that it stays in the second-level cache.
-const TILE_NUMBERS: usize = 160 * 1024;
+/// Columns of a strip: few enough that a ring holds many exposures of them.
+const STRIP_COLUMNS: usize = 128;
 
-/// Numbers before the first pixel of a tile row: the halo, padded so that the pixels begin on a cache line.
-const LEFT_PADDING: usize = 16;
-
-/// Columns of a tile.
-const TILE_COLUMNS: usize = 128;
+/// The most numbers that a ring holds, a quarter of the second-level cache.
+const RING_NUMBERS: usize = 64 * 1024;
 
 thread_local! {
-    static TILE: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
+    static RING: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
 }
 
 /// What every band needs to know of a block.
@@ -58,11 +56,25 @@ pub(super) struct Block<'a, T> {
     /// Reference per channel, `height * stride`, in counts.
     pub(super) reference: &'a [Vec<f32>],
     pub(super) samples: &'a [Planes<'a, T>],
+    pub(super) shape: Shape,
+    deltas: Deltas,
+}
+
+impl<'a, T> Block<'a, T> {
+    pub(super) fn new(
+        plan: &'a Plan,
+        layout: Layout,
+        reference: &'a [Vec<f32>],
+        samples: &'a [Planes<'a, T>],
+    ) -> Self {
+        let shape = Shape::new(plan, layout.stride.min(STRIP_COLUMNS));
+        Self { plan, layout, reference, samples, shape, deltas: Deltas::new(plan, &shape) }
+    }
 }
 
 /// Adds all samples of a block to the sums of one band; `sums[group]` as laid out by [`Layout`].
 pub(super) fn accumulate<T: Count>(block: &Block<'_, T>, band: usize, sums: &mut [&mut [f32]]) {
-    TILE.with_borrow_mut(|numbers| dispatch(BandWork { block, band, numbers, sums }));
+    RING.with_borrow_mut(|numbers| dispatch(BandWork { block, band, numbers, sums }));
 }
 
 /// Runs the work on the widest registers this processor has.
@@ -73,20 +85,12 @@ fn dispatch(work: impl WithSimd<Output = ()>) {
     }
 }
 
-/// The work on one band: its tiles one after another, each with all exposures of the block.
+/// The work on one band: its strips one after another, each with all exposures of the block.
 struct BandWork<'a, 'b, T> {
     block: &'a Block<'a, T>,
     band: usize,
     numbers: &'a mut Vec<f32>,
     sums: &'a mut [&'b mut [f32]],
-}
-
-/// Strides of a tile in numbers: exposure, then plane, then row, then column.
-#[derive(Clone, Copy)]
-struct Strides {
-    frame: usize,
-    plane: usize,
-    row: usize,
 }
 
 impl<T: Count> WithSimd for BandWork<'_, '_, T> {
@@ -95,208 +99,133 @@ impl<T: Count> WithSimd for BandWork<'_, '_, T> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { block, band, numbers, sums } = self;
-        let (plan, layout) = (block.plan, block.layout);
         let cutting = Cutting::new(block, band);
-        let strides = cutting.strides;
-        numbers.resize(numbers.len().max(cutting.frames * strides.frame + LEFT_PADDING), 0.0);
-        let unaligned = numbers.as_ptr().align_offset(LINE_BYTES).min(LEFT_PADDING);
-        let numbers = &mut numbers[unaligned..];
-        let deltas = Deltas::new(plan, strides);
-        for part in 0..cutting.parts() {
-            let (columns, samples) = cutting.part(part);
-            let samples = &block.samples[samples];
-            fill_tile(block, layout.rows(band), columns.clone(), strides, samples, numbers);
-            let tile = Tile {
-                numbers: &numbers[..samples.len() * strides.frame],
-                strides,
-                origin: plan.halo.up * strides.row + LEFT_PADDING,
-                channels: block.reference.len(),
-            };
-            let target = Target { rows: layout.rows(band).len(), columns, layout };
-            let mut upcoming = Upcoming::new(block, band, &cutting, part + 1);
-            sum_tile(simd, plan, &deltas, &tile, &target, &mut upcoming, sums);
+        let numbers = ring::aligned(numbers, block.shape.numbers(cutting.frames));
+        for index in 0..cutting.parts() {
+            let part = cutting.part(block, index);
+            let next = (index + 1 < cutting.parts()).then(|| cutting.part(block, index + 1));
+            ring::begin(block, &part, numbers);
+            for row in 0..part.rows.len() {
+                if let Some(next) = next.as_ref().filter(|next| next.columns != part.columns) {
+                    prefetch_sums(block, next, row, sums);
+                }
+                ring::advance(block, (&part, next.as_ref()), row, numbers);
+                let rows = Rows {
+                    numbers,
+                    shape: block.shape,
+                    turn: block.shape.turn_at(row),
+                    frames: part.samples.len(),
+                };
+                sum_row(simd, block, &rows, &part, row, sums);
+            }
         }
     }
 }
 
 /// How the columns of a band and the samples of a block are cut into parts, samples fastest.
 struct Cutting {
-    strides: Strides,
+    rows: Range<usize>,
     columns: usize,
     width: usize,
     frames: usize,
-    samples: usize,
+    chunks: usize,
 }
 
 impl Cutting {
     fn new<T>(block: &Block<'_, T>, band: usize) -> Self {
-        let (plan, width) = (block.plan, block.layout.stride);
-        let columns = width.min(TILE_COLUMNS);
-        let row = LEFT_PADDING + (columns + plan.halo.right).next_multiple_of(LEFT_PADDING);
-        let plane = row * (plan.halo.up + block.layout.rows(band).len() + plan.halo.down);
-        let strides = Strides { frame: plane * plan.lags.len() * block.reference.len(), plane, row };
-        let frames = (TILE_NUMBERS / strides.frame).clamp(4, 32);
-        Self { strides, columns, width, frames, samples: block.samples.len() }
+        let (width, samples) = (block.layout.stride, block.samples.len());
+        let most = (RING_NUMBERS / block.shape.frame).max(4);
+        let chunks = samples.div_ceil(most);
+        let frames = samples.div_ceil(chunks.max(1));
+        Self { rows: block.layout.rows(band), columns: width.min(STRIP_COLUMNS), width, frames, chunks }
     }
 
     fn parts(&self) -> usize {
-        self.width.div_ceil(self.columns) * self.samples.div_ceil(self.frames)
+        self.width.div_ceil(self.columns) * self.chunks
     }
 
-    fn part(&self, part: usize) -> (Range<usize>, Range<usize>) {
-        let per_tile = self.samples.div_ceil(self.frames);
-        let (column, sample) = (part / per_tile * self.columns, part % per_tile * self.frames);
-        (column..self.width.min(column + self.columns), sample..self.samples.min(sample + self.frames))
-    }
-}
-
-/// The pixels that the next part will need, brought closer row by row while this part is summed.
-struct Upcoming<'a, T> {
-    samples: &'a [Planes<'a, T>],
-    rows: Range<usize>,
-    columns: Range<usize>,
-    width: usize,
-    next: usize,
-    per_step: usize,
-}
-
-impl<'a, T> Upcoming<'a, T> {
-    fn new(block: &'a Block<'a, T>, band: usize, cutting: &Cutting, part: usize) -> Self {
-        let layout = block.layout;
-        let (part, band) = if part < cutting.parts() { (part, band) } else { (0, band + 1) };
-        let (columns, samples) = cutting.part(part);
-        let rows = layout.rows(band.min(layout.bands() - 1));
-        let samples = if band < layout.bands() { &block.samples[samples] } else { &[] };
-        let steps = rows.len() * (columns.len() / super::layout::COLUMN_PADDING);
-        let columns = columns.start..layout.width.min(columns.end);
-        let planes = samples.len() * samples.first().map_or(0, Vec::len);
-        let per_step = (planes * rows.len()).div_ceil(steps.max(1));
-        Self { samples, rows, columns, width: layout.width, next: 0, per_step }
-    }
-
-    /// Prefetches a fair share of the rows.
-    #[inline(always)]
-    fn step(&mut self) {
-        for _ in 0..self.per_step {
-            let planes = self.samples.first().map_or(1, Vec::len);
-            let (image, row) = (self.next / self.rows.len(), self.next % self.rows.len());
-            let Some(sample) = self.samples.get(image / planes) else { return };
-            let start = (self.rows.start + row) * self.width;
-            prefetch(&sample[image % planes][start + self.columns.start..start + self.columns.end]);
-            self.next += 1;
+    fn part<'a, T>(&self, block: &Block<'a, T>, index: usize) -> Part<'a, T> {
+        let (column, sample) = (index / self.chunks * self.columns, index % self.chunks * self.frames);
+        Part {
+            rows: self.rows.clone(),
+            columns: column..self.width.min(column + self.columns),
+            samples: &block.samples[sample..block.samples.len().min(sample + self.frames)],
         }
     }
 }
 
-/// Converts the samples of one tile to `f32` about the reference; zero outside the camera region.
+/// Asks for the sums of one row of a part.
 #[inline(always)]
-fn fill_tile<T: Count>(
-    block: &Block<'_, T>,
-    rows: Range<usize>,
-    columns: Range<usize>,
-    strides: Strides,
-    samples: &[Planes<'_, T>],
-    numbers: &mut [f32],
-) {
-    let (layout, halo) = (block.layout, block.plan.halo);
-    let left = halo.left.saturating_sub(columns.start);
-    let first = columns.start + left - halo.left;
-    let last = layout.width.min(columns.end + halo.right).max(first);
-    for (sample, frame) in samples.iter().zip(numbers.chunks_exact_mut(strides.frame)) {
-        for (index, (pixels, plane)) in sample.iter().zip(frame.chunks_exact_mut(strides.plane)).enumerate() {
-            let reference = &block.reference[index % block.reference.len()];
-            for (line, target) in plane.chunks_exact_mut(strides.row).enumerate() {
-                let target = &mut target[LEFT_PADDING - halo.left..];
-                let Some(y) = (rows.start + line).checked_sub(halo.up).filter(|&y| y < layout.height) else {
-                    target.fill(0.0);
-                    continue;
-                };
-                target[..left].fill(0.0);
-                target[left + last - first..].fill(0.0);
-                let source = &pixels[y * layout.width + first..y * layout.width + last];
-                let zero = &reference[y * layout.stride + first..y * layout.stride + last];
-                for ((number, pixel), zero) in target[left..].iter_mut().zip(source).zip(zero) {
-                    *number = pixel.counts() - zero;
-                }
-            }
+fn prefetch_sums<T: Count>(block: &Block<'_, T>, part: &Part<'_, T>, row: usize, sums: &[&mut [f32]]) {
+    let band = block.layout.band_of(part.rows.start);
+    let start = row * block.layout.stride + part.columns.start;
+    for group in sums {
+        for plane in group.chunks_exact(block.layout.plane_len(band)) {
+            prefetch(&plane[start..start + part.columns.len()]);
         }
     }
 }
 
-/// Converted pixels of one tile.
-struct Tile<'a> {
+/// The rows of a ring around the one that is summed.
+struct Rows<'a> {
     numbers: &'a [f32],
-    strides: Strides,
-    /// Offset of the tile's first pixel inside a plane.
-    origin: usize,
-    channels: usize,
+    shape: Shape,
+    turn: usize,
+    frames: usize,
 }
 
-impl Tile<'_> {
-    /// A register of pixels of the exposure that starts at `frame`, `delta` away from its first pixel.
+impl Rows<'_> {
+    /// A register of numbers.
     #[inline(always)]
-    fn load<S: Simd>(&self, frame: usize, delta: isize) -> S::f32s {
-        let start = frame.wrapping_add_signed(delta);
+    fn load<S: Simd>(&self, start: usize) -> S::f32s {
         S::as_simd_f32s(&self.numbers[start..start + S::F32_LANES]).0[0]
     }
 
+    /// Where `column` of every exposure begins.
     #[inline(always)]
-    fn frames(&self, pixel: usize) -> impl Iterator<Item = usize> + use<> {
-        (pixel..self.numbers.len()).step_by(self.strides.frame)
+    fn frames(&self, column: usize) -> impl Iterator<Item = usize> + use<> {
+        (column..).step_by(self.shape.frame).take(self.frames)
     }
 }
 
-/// Where in the band's sums a tile belongs.
-struct Target {
-    rows: usize,
-    columns: Range<usize>,
-    layout: Layout,
-}
-
-/// Distances of every element of every term from its base pixel, in numbers of the tile.
+/// Places in a ring of every element of every term, seen from the first pixel of a row, by turn of the ring.
 struct Deltas {
-    groups: Vec<Vec<Vec<isize>>>,
+    turns: Vec<Vec<Vec<Vec<usize>>>>,
 }
 
 impl Deltas {
-    fn new(plan: &Plan, strides: Strides) -> Self {
-        let channels = plan.algebra.channels();
-        let of_term = |term: &Term| {
+    fn new(plan: &Plan, shape: &Shape) -> Self {
+        let of_term = |turn: usize, term: &Term| {
             let elements = term.sets.iter().flat_map(|set| &set.elements);
-            elements
-                .map(|e| {
-                    let plane = (e.lag * channels * strides.plane) as isize;
-                    plane + e.dy as isize * strides.row as isize + e.dx as isize
-                })
-                .collect()
+            elements.map(|element| shape.element(turn, element)).collect()
         };
-        Self { groups: plan.groups.iter().map(|group| group.iter().map(of_term).collect()).collect() }
+        let of_turn = |turn: usize| {
+            plan.groups.iter().map(|group| group.iter().map(|term| of_term(turn, term)).collect()).collect()
+        };
+        Self { turns: (0..shape.turns()).map(of_turn).collect() }
     }
 }
 
+/// Adds the products of one row of a part to the sums.
 #[inline(always)]
-fn sum_tile<S: Simd, T: Count>(
+fn sum_row<S: Simd, T: Count>(
     simd: S,
-    plan: &Plan,
-    deltas: &Deltas,
-    tile: &Tile<'_>,
-    target: &Target,
-    upcoming: &mut Upcoming<'_, T>,
+    block: &Block<'_, T>,
+    rows: &Rows<'_>,
+    part: &Part<'_, T>,
+    row: usize,
     sums: &mut [&mut [f32]],
 ) {
-    let plane = target.rows * target.layout.stride;
+    let (plan, stride) = (block.plan, block.layout.stride);
+    let plane = block.layout.plane_len(block.layout.band_of(part.rows.start));
     let second_order =
         plan.order == 2 && plan.lags.len() == 1 && plan.combinations == Combinations::AllClosest;
-    for y in 0..target.rows {
-        for x in (0..target.columns.len()).step_by(S::F32_LANES) {
-            upcoming.step();
-            let pixel = tile.origin + y * tile.strides.row + x;
-            let place = y * target.layout.stride + target.columns.start + x;
-            match (second_order, tile.channels) {
-                (true, 1) => second_order_one_channel(simd, tile, pixel, sums, place, plane),
-                (true, 2) => second_order_two_channels(simd, tile, pixel, sums, place, plane),
-                _ => any_order(simd, plan, deltas, tile, pixel, sums, place, plane),
-            }
+    for x in (0..part.columns.len()).step_by(S::F32_LANES) {
+        let place = row * stride + part.columns.start + x;
+        match (second_order, rows.shape.channels()) {
+            (true, 1) => second_order_one_channel(simd, rows, x, sums, place, plane),
+            (true, 2) => second_order_two_channels(simd, rows, x, sums, place, plane),
+            _ => any_order(simd, plan, &block.deltas.turns[rows.turn], rows, x, sums, place, plane),
         }
     }
 }
@@ -339,14 +268,16 @@ struct Neighborhood<V> {
 }
 
 impl<V: Copy> Neighborhood<V> {
+    /// Loads the pixels around `start`, a column of the plane and exposure.
     #[inline(always)]
-    fn load<S: Simd<f32s = V>>(tile: &Tile<'_>, pixel: usize) -> Self {
-        let (row, lanes) = (tile.strides.row, S::F32_LANES);
+    fn load<S: Simd<f32s = V>>(rows: &Rows<'_>, start: usize) -> Self {
+        let lanes = S::F32_LANES;
+        let [up, here, down] = [-1, 0, 1].map(|dy| start + rows.shape.line(rows.turn, dy));
         let load = |line: &[f32], x: usize| S::as_simd_f32s(&line[x..x + lanes]).0[0];
-        let here = &tile.numbers[pixel - 1..pixel + lanes + 1];
-        let down = &tile.numbers[pixel + row..pixel + row + lanes + 1];
+        let here = &rows.numbers[here - 1..here + lanes + 1];
+        let down = &rows.numbers[down..down + lanes + 1];
         Self {
-            up: S::as_simd_f32s(&tile.numbers[pixel - row..pixel - row + lanes]).0[0],
+            up: rows.load::<S>(up),
             left: load(here, 0),
             here: load(here, 1),
             right: load(here, 2),
@@ -371,8 +302,8 @@ impl<V: Copy> Neighborhood<V> {
 #[inline(always)]
 fn second_order_one_channel<S: Simd>(
     simd: S,
-    tile: &Tile<'_>,
-    pixel: usize,
+    rows: &Rows<'_>,
+    x: usize,
     sums: &mut [&mut [f32]],
     place: usize,
     plane: usize,
@@ -380,8 +311,8 @@ fn second_order_one_channel<S: Simd>(
     let [mut square] = read_sums::<S, 1>(simd, sums[0], place, plane);
     let [mut sum] = read_sums::<S, 1>(simd, sums[1], place, plane);
     let [mut s00, mut s01, mut s10, mut s11] = read_sums::<S, 4>(simd, sums[2], place, plane);
-    for frame in tile.frames(pixel) {
-        let r = Neighborhood::load::<S>(tile, frame);
+    for frame in rows.frames(x) {
+        let r = Neighborhood::load::<S>(rows, frame);
         sum = simd.add_f32s(sum, r.here);
         square = simd.mul_add_e_f32s(r.here, r.here, square);
         Neighborhood::add_products(simd, &r, &r, [&mut s00, &mut s01, &mut s10, &mut s11]);
@@ -394,8 +325,8 @@ fn second_order_one_channel<S: Simd>(
 #[inline(always)]
 fn second_order_two_channels<S: Simd>(
     simd: S,
-    tile: &Tile<'_>,
-    pixel: usize,
+    rows: &Rows<'_>,
+    x: usize,
     sums: &mut [&mut [f32]],
     place: usize,
     plane: usize,
@@ -416,10 +347,10 @@ fn second_order_two_channels<S: Simd>(
         mut tr11,
         mut tt11,
     ] = read_sums::<S, 12>(simd, sums[2], place, plane);
-    let plane_t = tile.strides.plane;
-    for frame in tile.frames(pixel) {
-        let r = Neighborhood::load::<S>(tile, frame);
-        let t = Neighborhood::load::<S>(tile, frame + plane_t);
+    let plane_t = rows.shape.plane;
+    for frame in rows.frames(x) {
+        let r = Neighborhood::load::<S>(rows, frame);
+        let t = Neighborhood::load::<S>(rows, frame + plane_t);
         sum_r = simd.add_f32s(sum_r, r.here);
         sum_t = simd.add_f32s(sum_t, t.here);
         square_r = simd.mul_add_e_f32s(r.here, r.here, square_r);
@@ -440,25 +371,25 @@ fn second_order_two_channels<S: Simd>(
 fn any_order<S: Simd>(
     simd: S,
     plan: &Plan,
-    deltas: &Deltas,
-    tile: &Tile<'_>,
-    pixel: usize,
+    deltas: &[Vec<Vec<usize>>],
+    rows: &Rows<'_>,
+    x: usize,
     sums: &mut [&mut [f32]],
     place: usize,
     plane: usize,
 ) {
-    for channel in 0..tile.channels {
+    for channel in 0..rows.shape.channels() {
         let square = at::<S>(sums[0], channel * plane + place);
-        for frame in tile.frames(pixel) {
-            let x = tile.load::<S>(frame, (channel * tile.strides.plane) as isize);
+        for frame in rows.frames(x + rows.shape.line(rows.turn, 0) + channel * rows.shape.plane) {
+            let x = rows.load::<S>(frame);
             *square = simd.mul_add_e_f32s(x, x, *square);
         }
     }
-    for (degree, (terms, deltas)) in plan.groups.iter().zip(&deltas.groups).enumerate() {
+    for (degree, (terms, deltas)) in plan.groups.iter().zip(deltas).enumerate() {
         for (term, deltas) in terms.iter().zip(deltas) {
             let (sums, place) = (&mut *sums[degree], term.first * plane + place);
-            let work = TermWork { tile, deltas, pixel, place, plane };
-            match (degree, tile.channels) {
+            let work = TermWork { rows, deltas, x, place, plane };
+            match (degree, rows.shape.channels()) {
                 (2, 2) if !plan.symmetric() => work.first_pixel_from_first_channel(simd, sums),
                 (1, 1) => work.add::<S, 1, 1, false>(simd, sums),
                 (2, 1) => work.add::<S, 2, 1, false>(simd, sums),
@@ -480,9 +411,9 @@ fn any_order<S: Simd>(
 
 /// One term at one register of pixels.
 struct TermWork<'a> {
-    tile: &'a Tile<'a>,
-    deltas: &'a [isize],
-    pixel: usize,
+    rows: &'a Rows<'a>,
+    deltas: &'a [usize],
+    x: usize,
     place: usize,
     plane: usize,
 }
@@ -491,19 +422,19 @@ impl TermWork<'_> {
     /// Adds the coefficients of the product over the `M` pixels of `R` or, with two channels, of `R + z T`.
     #[inline(always)]
     fn add<S: Simd, const M: usize, const C: usize, const TWO: bool>(&self, simd: S, sums: &mut [f32]) {
-        let plane_t = self.tile.strides.plane as isize;
+        let plane_t = self.rows.shape.plane;
         let mut sum: [S::f32s; C] = read_sums(simd, sums, self.place, self.plane);
-        for frame in self.tile.frames(self.pixel) {
+        for frame in self.rows.frames(self.x) {
             for set in self.deltas.chunks_exact(M) {
                 let mut product = [simd.splat_f32s(0.0); C];
-                product[0] = self.tile.load::<S>(frame, set[0]);
+                product[0] = self.rows.load::<S>(frame + set[0]);
                 if TWO {
-                    product[1] = self.tile.load::<S>(frame, set[0] + plane_t);
+                    product[1] = self.rows.load::<S>(frame + set[0] + plane_t);
                 }
                 for (pixel, &delta) in set.iter().enumerate().skip(1) {
-                    let r = self.tile.load::<S>(frame, delta);
+                    let r = self.rows.load::<S>(frame + delta);
                     if TWO {
-                        let t = self.tile.load::<S>(frame, delta + plane_t);
+                        let t = self.rows.load::<S>(frame + delta + plane_t);
                         product[pixel + 1] = simd.mul_f32s(product[pixel], t);
                         for u in (1..=pixel).rev() {
                             let taken_from_t = simd.mul_f32s(product[u - 1], t);
@@ -523,12 +454,12 @@ impl TermWork<'_> {
     /// RR, RT and TT with the first pixel of RT from R and the second from T, as the published software has it.
     #[inline(always)]
     fn first_pixel_from_first_channel<S: Simd>(&self, simd: S, sums: &mut [f32]) {
-        let plane_t = self.tile.strides.plane as isize;
+        let plane_t = self.rows.shape.plane;
         let mut sum: [S::f32s; 3] = read_sums(simd, sums, self.place, self.plane);
-        for frame in self.tile.frames(self.pixel) {
+        for frame in self.rows.frames(self.x) {
             for set in self.deltas.chunks_exact(2) {
-                let [r0, r1] = [0, 1].map(|pixel| self.tile.load::<S>(frame, set[pixel]));
-                let [t0, t1] = [0, 1].map(|pixel| self.tile.load::<S>(frame, set[pixel] + plane_t));
+                let [r0, r1] = [0, 1].map(|pixel| self.rows.load::<S>(frame + set[pixel]));
+                let [t0, t1] = [0, 1].map(|pixel| self.rows.load::<S>(frame + set[pixel] + plane_t));
                 sum[0] = simd.mul_add_e_f32s(r0, r1, sum[0]);
                 sum[1] = simd.mul_add_e_f32s(r0, t1, sum[1]);
                 sum[2] = simd.mul_add_e_f32s(t0, t1, sum[2]);
@@ -540,9 +471,9 @@ impl TermWork<'_> {
     /// Any number of channels: every way to share the pixels among them, one product at a time.
     #[inline(always)]
     fn add_many_channels<S: Simd>(&self, simd: S, plan: &Plan, degree: usize, sums: &mut [f32]) {
-        let channels = self.tile.channels;
-        let plane = self.tile.strides.plane;
-        for frame in self.tile.frames(self.pixel) {
+        let channels = self.rows.shape.channels();
+        let plane = self.rows.shape.plane;
+        for frame in self.rows.frames(self.x) {
             for share in 0..channels.pow(degree as u32) {
                 let channel_of = |pixel: usize| share / channels.pow(pixel as u32) % channels;
                 let (coefficient, _) = (1..degree).fold((channel_of(0), 1), |(coefficient, size), pixel| {
@@ -552,8 +483,8 @@ impl TermWork<'_> {
                 for set in self.deltas.chunks_exact(degree) {
                     let mut product = simd.splat_f32s(1.0);
                     for (pixel, &delta) in set.iter().enumerate() {
-                        let delta = delta + (channel_of(pixel) * plane) as isize;
-                        product = simd.mul_f32s(product, self.tile.load::<S>(frame, delta));
+                        let delta = delta + channel_of(pixel) * plane;
+                        product = simd.mul_f32s(product, self.rows.load::<S>(frame + delta));
                     }
                     *sum = simd.add_f32s(*sum, product);
                 }

@@ -40,10 +40,12 @@ impl Layout {
         band * BAND_ROWS..self.height.min((band + 1) * BAND_ROWS)
     }
 
-    /// Numbers in one plane of a band.
+    /// Numbers in one plane of a band, with a gap to the next one.
+    ///
+    /// Without the gap, sums of one pixel would be powers of two apart and push each other out of the cache.
     #[inline(always)]
     pub(super) fn plane_len(&self, band: usize) -> usize {
-        self.rows(band).len() * self.stride
+        self.rows(band).len() * self.stride + COLUMN_PADDING
     }
 
     /// One zeroed vector of `planes` planes per band.

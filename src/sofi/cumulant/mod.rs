@@ -31,6 +31,7 @@ mod layout;
 mod moments;
 mod plan;
 mod prefetch;
+mod ring;
 mod settings;
 mod workers;
 

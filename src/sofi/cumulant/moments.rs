@@ -84,7 +84,7 @@ impl RunMoments {
         }
         while !samples.is_empty() {
             let (now, later) = samples.split_at(samples.len().min(self.until_next_step(plan.order) as usize));
-            let block = Block { plan, layout: *layout, reference: &self.reference, samples: now };
+            let block = Block::new(plan, *layout, &self.reference, now);
             let mut bands = bands_of(&mut self.chunk);
             workers.for_each(&mut bands, |band, sums| accumulate(&block, band, sums));
             self.samples += now.len() as u64;
