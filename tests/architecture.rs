@@ -55,7 +55,7 @@ const ROOMS: [Room; 11] = [
         name: "acquisition",
         rooms: &["pipeline"],
         packages: &["sofiscope_hal"],
-        crates: Some(&["bytemuck", "serde", "serde_json", "thiserror", "tracing"]),
+        crates: Some(&["bytemuck", "memmap2", "serde", "serde_json", "thiserror", "tracing"]),
     },
     Room {
         name: "recording",

@@ -6,7 +6,10 @@
 //! The pool keeps one reference to each slot. A slot whose only reference is the pool's can be written again,
 //! so a frame needs no way back: the last reader that drops its [`Frame`] has returned the memory.
 
-use bytemuck::cast_slice;
+use bytemuck::{cast_slice, cast_slice_mut};
+#[cfg(target_os = "linux")]
+use memmap2::Advice;
+use memmap2::{MmapMut, MmapOptions};
 use sofiscope_hal::{Channel, FrameInfo, HostTime};
 use std::sync::Arc;
 
@@ -24,26 +27,36 @@ pub struct FrameFacts {
     pub received: HostTime,
 }
 
-/// One slot: memory of a page-aligned frame inside a slightly larger allocation.
+/// Frames of at least this size lie in huge pages where the system has them; they are there sooner.
+const HUGE_PAGE_BYTES: usize = 2 << 20;
+
+/// One slot: whole pages of memory of its own.
 #[derive(Debug)]
 struct Slot {
-    memory: Vec<u16>,
-    first: usize,
-    pixels: usize,
+    memory: MmapMut,
+    bytes: usize,
     facts: Option<FrameFacts>,
 }
 
 impl Slot {
-    fn new(pixels: usize) -> Self {
-        let slack = PAGE_BYTES / size_of::<u16>();
+    fn new(pixels: usize) -> std::io::Result<Self> {
+        let bytes = pixels * size_of::<u16>();
+        let mut memory = MmapOptions::new().len(bytes.max(1)).map_anon()?;
+        #[cfg(target_os = "linux")]
+        if bytes >= HUGE_PAGE_BYTES && memory.advise(Advice::HugePage).is_err() {
+            tracing::debug!("no huge pages for frames");
+        }
         // Written, not only reserved: the pages exist before the first frame comes.
-        let memory = vec![1; pixels + slack];
-        let first = memory.as_ptr().align_offset(PAGE_BYTES).min(slack);
-        Self { memory, first, pixels, facts: None }
+        memory.fill(1);
+        Ok(Self { memory, bytes, facts: None })
     }
 
     fn counts(&self) -> &[u16] {
-        &self.memory[self.first..self.first + self.pixels]
+        cast_slice(&self.memory[..self.bytes])
+    }
+
+    fn counts_mut(&mut self) -> &mut [u16] {
+        cast_slice_mut(&mut self.memory[..self.bytes])
     }
 }
 
@@ -53,11 +66,13 @@ pub struct Frame(Arc<Slot>);
 
 impl Frame {
     /// A frame with memory of its own, outside of any pool; for tests and for reading files.
+    ///
+    /// # Panics
+    /// When the system has no memory.
     #[must_use]
     pub fn of_counts(facts: FrameFacts, counts: &[u16]) -> Self {
-        let mut slot = Slot::new(counts.len());
-        let first = slot.first;
-        slot.memory[first..first + counts.len()].copy_from_slice(counts);
+        let mut slot = Slot::new(counts.len()).expect("memory for one frame");
+        slot.counts_mut().copy_from_slice(counts);
         slot.facts = Some(facts);
         Self(Arc::new(slot))
     }
@@ -89,7 +104,7 @@ impl FrameMemory<'_> {
     /// The memory for the pixels, row by row.
     pub fn counts_mut(&mut self) -> &mut [u16] {
         let slot = Arc::get_mut(self.0).expect("the pool lends a slot only while nobody else holds it");
-        &mut slot.memory[slot.first..slot.first + slot.pixels]
+        slot.counts_mut()
     }
 
     /// Makes what was written a frame.
@@ -110,9 +125,12 @@ pub struct FramePool {
 
 impl FramePool {
     /// A pool of `slots` frames of `pixels` pixels, its memory written once so that it is really there.
-    #[must_use]
-    pub fn new(slots: usize, pixels: usize) -> Self {
-        Self { slots: (0..slots).map(|_| Arc::new(Slot::new(pixels))).collect(), next: 0 }
+    ///
+    /// # Errors
+    /// What the system says when it has not that much memory.
+    pub fn new(slots: usize, pixels: usize) -> std::io::Result<Self> {
+        let slots = (0..slots).map(|_| Slot::new(pixels).map(Arc::new)).collect::<Result<_, _>>()?;
+        Ok(Self { slots, next: 0 })
     }
 
     /// Frames that the pool can hold.
@@ -156,7 +174,7 @@ pub(crate) mod tests {
 
     #[test]
     fn memory_comes_home_with_the_last_reader() {
-        let mut pool = FramePool::new(2, 10);
+        let mut pool = FramePool::new(2, 10).unwrap();
         let fill = |pool: &mut FramePool, value: u16| {
             let mut memory = pool.take()?;
             memory.counts_mut().fill(value);
@@ -176,7 +194,7 @@ pub(crate) mod tests {
 
     #[test]
     fn slots_that_are_never_filled_are_not_lost() {
-        let mut pool = FramePool::new(1, 4);
+        let mut pool = FramePool::new(1, 4).unwrap();
         for _ in 0..3 {
             assert!(pool.take().is_some());
         }

@@ -167,7 +167,10 @@ fn frame_of_noise(pixels: usize, seed: u64) -> Vec<u16> {
 
 /// Arguments of `bench`.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  sofiscope bench\n  sofiscope bench --order 2 --json > speed.json")]
+#[command(after_help = "Examples:
+  sofiscope bench
+  sofiscope bench --order 2 --json > speed.json
+  sofiscope bench --live 2048 --rate 50")]
 pub struct BenchArguments {
     /// Measure only the cases of this order
     #[arg(long)]
@@ -175,6 +178,8 @@ pub struct BenchArguments {
     /// Rounds per case; the median is reported
     #[arg(long, default_value_t = 5)]
     rounds: usize,
+    #[command(flatten)]
+    live: super::bench_live::LiveArguments,
     /// Print a list of objects on stdout
     #[arg(long)]
     json: bool,
@@ -185,6 +190,9 @@ pub struct BenchArguments {
 /// # Errors
 /// A usage error when no case has the order asked for.
 pub fn run(arguments: &BenchArguments) -> Result<(), AppError> {
+    if arguments.live.is_wanted() {
+        return super::bench_live::run(&arguments.live, arguments.order.unwrap_or(2), arguments.json);
+    }
     let cases: Vec<Case> =
         CASES.into_iter().filter(|case| arguments.order.is_none_or(|order| case.order == order)).collect();
     if cases.is_empty() {

@@ -20,7 +20,7 @@ use crate::reconstruction::{
     LiveAnalysis, LiveReport, PreviewReport, PreviewSettings, Shown, Snapshot, preview,
 };
 use crate::sofi::cumulant::{CumulantEngine, PushError};
-use sofiscope_hal::{Channel, DeviceError, FrameStream};
+use sofiscope_hal::{Channel, DeviceError, FrameStream, HostTime};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -95,6 +95,8 @@ pub(super) struct DataPath<P: Send + Sync> {
     progress: Viewer<Progress>,
     pictures: Viewer<Shown<P>>,
     clock: HostClock,
+    /// When the first exposure could begin.
+    begin: HostTime,
 }
 
 /// How a run ended.
@@ -129,7 +131,9 @@ impl<P: Send + Sync + 'static> DataPath<P> {
         let bell = Bell::default();
         let (mut grabbers, mut status, mut from_grabbers) = (Vec::new(), Vec::new(), Vec::new());
         for (channel, stream) in Channel::BOTH.into_iter().zip(streams) {
-            let (grabber, queue) = grabber(settings, channel, stream, &bell, clock, &stop);
+            let pool =
+                FramePool::new(frames, settings.pixels).map_err(|error| no_memory(settings, &error))?;
+            let (grabber, queue) = grabber(settings, channel, stream, pool, &bell, clock, &stop);
             status.push(Arc::clone(&grabber.status));
             from_grabbers.push(queue);
             grabbers.push(grabber);
@@ -164,7 +168,20 @@ impl<P: Send + Sync + 'static> DataPath<P> {
             .map(|(grabber, name)| spawn(name, move || grabber.run()).map_err(no_thread))
             .collect::<Result<_, _>>()?;
         let status = pair(status);
-        Ok(Self { grabbers, status, dispatch, analysis, preview, recorder, stop, progress, pictures, clock })
+        let begin = clock.now();
+        Ok(Self {
+            grabbers,
+            status,
+            dispatch,
+            analysis,
+            preview,
+            recorder,
+            stop,
+            progress,
+            pictures,
+            clock,
+            begin,
+        })
     }
 
     /// What is shown now.
@@ -192,12 +209,12 @@ impl<P: Send + Sync + 'static> DataPath<P> {
         self.recorder.as_ref().is_some_and(Stage::is_finished)
     }
 
-    /// Time since the last frame of each camera; since the start before the first.
+    /// Time since the last frame of each camera; before the first, since the threads were there.
     pub(super) fn silence(&self) -> [Duration; 2] {
-        let now = self.clock.now().0;
+        let now = self.clock.now();
         self.status
             .each_ref()
-            .map(|status| Duration::from_nanos(now - status.last_frame_ns.load(Ordering::Relaxed).min(now)))
+            .map(|status| now.since(self.begin.max(HostTime(status.last_frame_ns.load(Ordering::Relaxed)))))
     }
 
     /// Frames that came from each camera, usable or not.
@@ -251,6 +268,7 @@ fn grabber(
     settings: &DataPathSettings,
     channel: Channel,
     stream: Box<dyn FrameStream>,
+    pool: FramePool,
     bell: &Bell,
     clock: HostClock,
     stop: &Arc<AtomicBool>,
@@ -264,7 +282,7 @@ fn grabber(
     let grabber = Grabber {
         channel,
         stream,
-        pool: FramePool::new(frames, settings.pixels),
+        pool,
         pixels: settings.pixels,
         to_pairing,
         patience: settings.patience,
@@ -327,6 +345,13 @@ fn recorder_stage(
     let (sender, records) = bounded("pair→record", (frames / 2).max(1), when_full, &Bell::default());
     let stage = spawn("record", move || recorder.run(records)).map_err(no_thread)?;
     Ok((Some(sender), Some(stage)))
+}
+
+fn no_memory(settings: &DataPathSettings, error: &std::io::Error) -> AppError {
+    let mebibytes = settings.pool_bytes() >> 20;
+    AppError::Device(format!(
+        "{mebibytes} MiB of memory for frames are not to be had ({error}); close other programs or choose a smaller region"
+    ))
 }
 
 fn pair<T>(both: Vec<T>) -> [T; 2] {

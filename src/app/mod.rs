@@ -6,6 +6,7 @@
 mod analysis;
 mod analyze;
 pub mod bench;
+mod bench_live;
 pub mod check;
 mod cli;
 mod data_path;
