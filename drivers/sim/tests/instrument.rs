@@ -412,6 +412,36 @@ fn a_stop_in_virtual_time_lets_the_slower_reader_catch_up() {
 }
 
 #[test]
+fn grabbers_on_their_own_threads_wait_for_the_trigger_and_agree() {
+    let instrument = SimulatedInstrument::new(film(), InstrumentSettings::default());
+    let mut cameras = instrument.cameras();
+    let streams = cameras.each_mut().map(|camera| armed(camera, TriggerMode::External));
+    let read = streams.map(|mut stream| std::thread::spawn(move || read(&mut *stream)));
+    instrument.trigger().start(PERIOD, Some(5000)).unwrap();
+    for (channel, grabber) in Channel::BOTH.into_iter().zip(read) {
+        let (seen, end) = grabber.join().unwrap();
+        assert_eq!((seen.len(), end), (5000, ErrorKind::Ended));
+        assert_judged(&seen, &instrument.oracle(), channel);
+    }
+}
+
+#[test]
+fn a_camera_armed_during_a_train_begins_with_the_next_pulse() {
+    let (instrument, clock) = real_time(16, 1.0);
+    let [mut camera, _] = instrument.cameras();
+    let mut trigger = instrument.trigger();
+    trigger.start(PERIOD, Some(20)).unwrap();
+    clock.advance(PERIOD * 5 / 2);
+    let (seen, end) = read(&mut *armed(&mut camera, TriggerMode::External));
+    assert_eq!((seen.len(), end), (17, ErrorKind::Ended));
+    for (exposure, frame) in seen.iter().enumerate() {
+        assert_eq!(frame.info.exposure.0, exposure as u64);
+        // Pulses 0 to 2 came before.
+        assert_eq!(frame.counts, film().frame(Channel::Reflected, ExposureIndex(exposure as u64 + 3)));
+    }
+}
+
+#[test]
 fn a_silence_longer_than_the_timeout_is_a_timeout_in_virtual_time_too() {
     let bursts = Some(Bursts { probability: 1.0, lengths: [500, 500] });
     let faults = CameraFaults { bursts, ..CameraFaults::default() };
