@@ -426,6 +426,30 @@ fn grabbers_on_their_own_threads_wait_for_the_trigger_and_agree() {
 }
 
 #[test]
+fn a_stop_of_the_trigger_while_both_are_read_is_the_same_stop_for_both() {
+    for _ in 0..50 {
+        let instrument = SimulatedInstrument::new(film(), InstrumentSettings::default());
+        let mut cameras = instrument.cameras();
+        let streams = cameras.each_mut().map(|camera| armed(camera, TriggerMode::External));
+        let mut trigger = instrument.trigger();
+        trigger.start(PERIOD, None).unwrap();
+        let (first, seen) = std::sync::mpsc::sync_channel(2);
+        let read = streams.map(|mut stream| {
+            let first = first.clone();
+            std::thread::spawn(move || {
+                stream.next_frame(&mut vec![0; FULL.num_pixels()], PATIENCE).unwrap();
+                first.send(()).unwrap();
+                read(&mut *stream).0.len()
+            })
+        });
+        seen.recv().unwrap();
+        trigger.stop().unwrap();
+        let lengths = read.map(|grabber| grabber.join().unwrap());
+        assert_eq!(lengths[0], lengths[1]);
+    }
+}
+
+#[test]
 fn a_camera_armed_during_a_train_begins_with_the_next_pulse() {
     let (instrument, clock) = real_time(16, 1.0);
     let [mut camera, _] = instrument.cameras();
