@@ -37,6 +37,8 @@ fn read(camera: &mut SimulatedCamera, region: Region, frames: usize) -> u64 {
 
 #[test]
 fn frames_take_no_memory_after_arming() {
+    let seen = allocation_counter::measure(|| drop(std::hint::black_box(vec![0_u8; 10])));
+    assert_eq!(seen.count_total, 1, "the counter counts");
     let scene = Scene::from_toml(Scene::built_in("figure-s4").unwrap()).unwrap().with_frames(200).unwrap();
     let world = World::new(&scene, 1);
     let (height, width) = (scene.height_px() as u32, scene.width_px() as u32);
