@@ -426,6 +426,18 @@ fn grabbers_on_their_own_threads_wait_for_the_trigger_and_agree() {
 }
 
 #[test]
+fn a_camera_armed_after_the_other_was_stopped_begins_a_time_of_its_own() {
+    let instrument = SimulatedInstrument::new(film(), settings());
+    let [mut reflected, mut transmitted] = instrument.cameras();
+    let mut stream = armed(&mut reflected, TriggerMode::FreeRunning);
+    stream.next_frame(&mut vec![0; FULL.num_pixels()], PATIENCE).unwrap();
+    reflected.stop().unwrap();
+    let mut stream = armed(&mut transmitted, TriggerMode::FreeRunning);
+    transmitted.stop().unwrap();
+    assert_eq!(read(&mut *stream), (Vec::new(), ErrorKind::Ended));
+}
+
+#[test]
 fn a_stop_of_the_trigger_while_both_are_read_is_the_same_stop_for_both() {
     for _ in 0..50 {
         let instrument = SimulatedInstrument::new(film(), InstrumentSettings::default());
