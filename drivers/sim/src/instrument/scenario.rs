@@ -4,8 +4,8 @@
 //! Never: accepts an unknown key, reads a file.
 //! Fails: [`ScenarioError`] with all faults at once, each with line, key and remedy.
 //!
-//! Keys of `[camera]` and `[faults]` hold for both cameras; those of `[camera.reflected]`, `[camera.transmitted]`,
-//! `[faults.reflected]` and `[faults.transmitted]` for one of them, where they replace the common ones.
+//! Keys of `[camera]` and `[faults]` hold for both cameras; those of `[camera.reflected]`,
+//! `[camera.transmitted]`, `[faults.reflected]` and `[faults.transmitted]` for one of them, where they replace the common ones.
 
 use std::time::Duration;
 
@@ -300,7 +300,8 @@ mod tests {
     #[test]
     fn all_faults_of_a_scenario_are_told_at_once_with_their_lines() {
         let text = "speed = 2.0\n[faults]\ndrop_one_inn = 3\nreorder_within = 1000\nlate_one_in = 3\n\
-                    missed_trigger_at = [1, -2]\n[faults.reflected]\nburst_lengths = [5, 2]\n[camera]\ncounter = 3";
+                    missed_trigger_at = [1, -2]\n[faults.reflected]\nburst_lengths = [5, 2]\n\
+                    [camera]\ncounter = 3";
         let expected = [
             (1, "speed"),
             (3, "faults.drop_one_inn"),

@@ -1,9 +1,10 @@
 //! When exposures begin and which of them are finished.
 //!
-//! In: arming, trigger trains, stops, the time now. Out: how many exposures are finished, when the next one is,
-//! and after how many the camera is done. Never: waits.
+//! In: arming, trigger trains, stops, the time now. Out: how many exposures are finished, when the next one
+//! is, and after how many the camera is done. Never: waits.
 //!
-//! Unpaced, virtual time is where the faster of both readers is; a stop is a stop at that time for both cameras.
+//! Unpaced, virtual time is where the faster of both readers is; a stop is a stop at that time for
+//! both cameras.
 
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -272,7 +272,8 @@ fn patience(outlook: Outlook, timeout: Duration) -> u64 {
     (nanoseconds(timeout) / period_ns).max(1)
 }
 
-/// Begin of an exposure on the camera's clock; `exposure` counts for the sample, `since_arming` for the faults.
+/// Begin of an exposure on the camera's clock; `exposure` counts for the sample, `since_arming` for
+/// the faults.
 fn device_time(parts: &Parts, exposure: ExposureIndex, since_arming: u64, period: Duration) -> DeviceTime {
     let clock = parts.behavior.clock;
     let nominal_ns = exposure.0.wrapping_mul(nanoseconds(period));
