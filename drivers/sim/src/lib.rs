@@ -2,12 +2,14 @@
 //!
 //! ```text
 //! scene file ─► Scene ─► emitters ─► blinking ─► optics ─► camera ─► counts
-//!                  └────────────────► Truth ─► score ◄── analyzed images
+//!                  ├────────────────► Truth ─► score ◄── analyzed images
+//!                  └─► World ─► instrument ─► SimulatedCamera R, T and what goes wrong with them
 //! ```
 //!
 //! In: a scene (text in TOML) and a seed.
-//! Out: frames of both cameras for any exposure in any order, the ground truth, and scores of images against it.
-//! Never: reads a clock, keeps state between exposures, depends on the number of threads.
+//! Out: frames of both cameras for any exposure in any order, the ground truth, and scores of images against it;
+//! two cameras and a trigger that can be controlled as real ones.
+//! Never: depends on the number of threads or, but for what a slow reader loses in real time, on a clock.
 //! Fails: [`SceneError`] with all faults of a scene file at once; [`WorldError`]; [`TruthError`]; [`ScoreError`].
 //!
 //! The model is the one of the paper, Materials and methods: Simulations.

@@ -283,7 +283,7 @@ caught! {
     a_missing_serial_number_is_caught: NoSerial, FreeRunning, "has a serial number";
     arming_without_settings_is_caught: ArmsUnconfigured, FreeRunning, "never configured must be refused";
     settings_that_are_only_echoed_are_caught: EchoesSettings, FreeRunning, "read back";
-    regions_beside_the_sensor_are_caught: TakesAnyRegion, FreeRunning, "wider than the sensor must be refused";
+    regions_beside_the_sensor_are_caught: TakesAnyRegion, FreeRunning, "wider than the sensor must";
     settings_half_taken_over_are_caught: KeepsPartOfRefused, FreeRunning, "the next frame must succeed";
     configuring_while_armed_is_caught: ConfiguresWhileArmed, FreeRunning, "configuring an armed camera";
     arming_twice_is_caught: ArmsTwice, FreeRunning, "arming an armed camera";
@@ -294,11 +294,11 @@ caught! {
     repeated_frames_are_caught: Repeats, FreeRunning, "exposures rise";
     pixels_never_written_are_caught: LeavesLastPixel, FreeRunning, "1 were never written";
     memory_of_any_size_is_caught: TakesAnyMemory, FreeRunning, "memory of the size before";
-    frames_lost_with_wrong_memory_are_caught: LosesWithWrongMemory, FreeRunning, "refusing memory loses no frame";
+    frames_lost_with_wrong_memory_are_caught: LosesWithWrongMemory, FreeRunning, "refusing memory loses no";
     frames_lost_with_timeouts_are_caught: LosesWithTimeout, FreeRunning, "timeouts lose no frame";
     timeouts_without_end_are_caught: TimesOutForEver, FreeRunning, "none did";
     an_end_before_the_beginning_is_caught: EndsBeforeTheFirstPulse, External, "before the first pulse";
     streams_without_end_are_caught: NeverEnds, FreeRunning, "must come to Ended";
     streams_that_revive_are_caught: RevivesAfterEnd, FreeRunning, "a frame after the end";
-    stops_that_fail_the_second_time_are_caught: StopsOnceOnly, FreeRunning, "stopping the camera must succeed";
+    stops_that_fail_the_second_time_are_caught: StopsOnceOnly, FreeRunning, "stopping the camera must";
 }

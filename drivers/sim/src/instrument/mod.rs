@@ -7,7 +7,8 @@
 //! ```
 //!
 //! In: a source, and settings or a [`Scenario`] with everything that shall go wrong.
-//! Out: cameras and a trigger behind the contracts of `sofiscope_hal`, and an [`Oracle`] that knows what they did.
+//! Out: cameras and a trigger behind the contracts of `sofiscope_hal`, and an [`Oracle`] that knows
+//! what they did.
 //! Never: decides by anything but seed, channel and exposure, so every run with one seed is the same run;
 //! in real time only what a slow reader loses is decided by the clock.
 //! Fails: as the contracts say; [`ScenarioError`] with all faults of a scenario at once.

@@ -4,8 +4,8 @@
 //! Never: accepts an unknown key, reads a file.
 //! Fails: [`ScenarioError`] with all faults at once, each with line, key and remedy.
 //!
-//! Keys of `[camera]` and `[faults]` hold for both cameras; those of `[camera.reflected]`, `[camera.transmitted]`,
-//! `[faults.reflected]` and `[faults.transmitted]` for one of them, where they replace the common ones.
+//! Keys of `[camera]` and `[faults]` hold for both cameras; those of `[camera.reflected]`,
+//! `[camera.transmitted]`, `[faults.reflected]` and `[faults.transmitted]` for one of them, where they replace the common ones.
 
 use std::time::Duration;
 
@@ -212,5 +212,115 @@ fn check_pair(form: &Form<'_>, one: &str, has_one: bool, other: &str, has_other:
     }
     if has_other && !has_one {
         form.fault(other, format!("is given without `{one}`"), format!("add `{one} = ...`"));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn faults(text: &str) -> Vec<(Option<usize>, String)> {
+        let error = Scenario::from_toml(text).expect_err("this scenario is faulty");
+        error.faults.into_iter().map(|fault| (fault.line, fault.key)).collect()
+    }
+
+    #[test]
+    fn an_empty_scenario_is_an_instrument_without_faults() {
+        let settings = Scenario::from_toml("").unwrap().into_settings();
+        assert_eq!(settings.cameras, InstrumentSettings::default().cameras);
+        assert_eq!((settings.pace, settings.exposures), (Pace::Unpaced, None));
+    }
+
+    #[test]
+    fn every_key_is_read() {
+        let text = r#"
+            seed = 7
+            exposures = 1000
+            pace = "real-time"
+            speed = 2.5
+            [camera]
+            counter = "64-bit"
+            buffers = 32
+            clock_offset_s = 300000
+            clock_drift_ppm = 100.0
+            clock_jitter_ns = 50
+            [faults]
+            drop_one_in = 97
+            burst_probability = 0.001
+            burst_lengths = [1, 500]
+            duplicate_one_in = 98
+            reorder_within = 8
+            late_one_in = 99
+            late_by_frames = 20
+            incomplete_one_in = 100
+            wrong_size_at = 5
+            missed_trigger_at = [20, 10]
+            stall_at = 900
+            die_at = 950
+            id_restart_at = 1500
+            clock_step_at = 600
+            clock_step_s = -37.0
+            start_fails = true
+        "#;
+        let settings = Scenario::from_toml(text).unwrap_or_else(|error| panic!("{error}")).into_settings();
+        assert_eq!((settings.seed, settings.exposures), (7, Some(1000)));
+        assert_eq!(settings.pace, Pace::RealTime { speed: 2.5 });
+        let expected = CameraBehavior {
+            counter: Counter::FromZero,
+            clock: DeviceClock { offset: Duration::from_secs(300_000), drift_ppm: 100.0, jitter_ns: 50 },
+            buffers: 32,
+            faults: CameraFaults {
+                drop_one_in: Some(97),
+                bursts: Some(Bursts { probability: 0.001, lengths: [1, 500] }),
+                duplicate_one_in: Some(98),
+                reorder_within: Some(8),
+                late_one_in: Some(99),
+                late_by_frames: 20,
+                incomplete_one_in: Some(100),
+                wrong_size_at: vec![5],
+                missed_trigger_at: vec![10, 20],
+                stall_at: Some(900),
+                die_at: Some(950),
+                id_restart_at: Some(1500),
+                clock_step: Some(ClockStep { at: 600, seconds: -37.0 }),
+                start_fails: true,
+            },
+        };
+        assert_eq!(settings.cameras, [expected.clone(), expected]);
+    }
+
+    #[test]
+    fn a_camera_has_its_own_faults_beside_the_common_ones() {
+        let text = "[faults]\ndrop_one_in = 97\n[faults.transmitted]\ndrop_one_in = 5\nstall_at = 3";
+        let [reflected, transmitted] = Scenario::from_toml(text).unwrap().into_settings().cameras;
+        assert_eq!((reflected.faults.drop_one_in, reflected.faults.stall_at), (Some(97), None));
+        assert_eq!((transmitted.faults.drop_one_in, transmitted.faults.stall_at), (Some(5), Some(3)));
+    }
+
+    #[test]
+    fn all_faults_of_a_scenario_are_told_at_once_with_their_lines() {
+        let text = "speed = 2.0\n[faults]\ndrop_one_inn = 3\nreorder_within = 1000\nlate_one_in = 3\n\
+                    missed_trigger_at = [1, -2]\n[faults.reflected]\nburst_lengths = [5, 2]\n\
+                    [camera]\ncounter = 3";
+        let expected = [
+            (1, "speed"),
+            (3, "faults.drop_one_inn"),
+            (4, "faults.reorder_within"),
+            (5, "faults.late_one_in"),
+            (6, "faults.missed_trigger_at"),
+            (8, "faults.reflected.burst_lengths"),
+            (10, "camera.counter"),
+        ];
+        let found = faults(text);
+        for (line, key) in expected {
+            assert!(found.contains(&(Some(line), key.into())), "{line} {key}: {found:?}");
+        }
+        let message = Scenario::from_toml(text).unwrap_err().to_string();
+        assert!(message.contains("write `drop_one_in` if that was meant"), "{message}");
+    }
+
+    #[test]
+    fn broken_syntax_is_told_with_its_line() {
+        assert_eq!(faults("seed = 1\n[faults")[0].0, Some(2));
     }
 }

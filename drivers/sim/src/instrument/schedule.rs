@@ -1,9 +1,10 @@
 //! When exposures begin and which of them are finished.
 //!
-//! In: arming, trigger trains, stops, the time now. Out: how many exposures are finished, when the next one is,
-//! and after how many the camera is done. Never: waits.
+//! In: arming, trigger trains, stops, the time now. Out: how many exposures are finished, when the next one
+//! is, and after how many the camera is done. Never: waits.
 //!
-//! Unpaced, virtual time is where the faster of both readers is; a stop is a stop at that time for both cameras.
+//! Unpaced, virtual time is where the faster of both readers is; a stop is a stop at that time for
+//! both cameras.
 
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -22,25 +23,51 @@ const OPEN: u64 = u64::MAX;
 pub(super) struct Train {
     start: HostTime,
     period: Duration,
+    /// One lock for both counts, so that a stop and a reader agree about the last exposure.
+    counts: Mutex<Counts>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Counts {
     /// Exposures that a reader has taken, for virtual time.
-    taken: AtomicU64,
+    taken: u64,
     /// Number of exposures; `OPEN` until stopped.
-    end: AtomicU64,
+    end: u64,
 }
 
 impl Train {
     fn new(start: HostTime, period: Duration, pulses: Option<u64>) -> Arc<Self> {
-        let end = AtomicU64::new(pulses.unwrap_or(OPEN));
-        Arc::new(Self { start, period, taken: AtomicU64::new(0), end })
+        let counts = Mutex::new(Counts { taken: 0, end: pulses.unwrap_or(OPEN) });
+        Arc::new(Self { start, period, counts })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Counts> {
+        self.counts.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes an exposure for a reader, unless the train ends before it.
+    fn claim(&self, exposure: u64) -> bool {
+        let mut counts = self.lock();
+        let given = exposure < counts.end;
+        if given {
+            counts.taken = counts.taken.max(exposure + 1);
+        }
+        given
     }
 
     /// Pulses given by now.
-    fn given(&self, pace: Pace, now: HostTime) -> u64 {
+    fn given(&self, counts: Counts, pace: Pace, now: HostTime) -> u64 {
         let given = match pace {
-            Pace::Unpaced => self.taken.load(SeqCst),
+            Pace::Unpaced => counts.taken,
             Pace::RealTime { speed } => nanoseconds(now.since(self.start)) / paced_ns(self.period, speed) + 1,
         };
-        given.min(self.end.load(SeqCst))
+        given.min(counts.end)
+    }
+
+    /// Ends the train with the pulses given by now.
+    fn stop(&self, pace: Pace, now: HostTime) {
+        let mut counts = self.lock();
+        counts.end = self.given(*counts, pace, now);
     }
 }
 
@@ -77,7 +104,10 @@ impl Timing {
     /// The train that gives pulses now.
     fn running(&self, trains: &Trains) -> Option<Arc<Train>> {
         let now = self.clock.now();
-        let running = |train: &&Arc<Train>| train.given(self.pace, now) < train.end.load(SeqCst);
+        let running = |train: &&Arc<Train>| {
+            let counts = *train.lock();
+            train.given(counts, self.pace, now) < counts.end
+        };
         trains.triggered.as_ref().filter(running).cloned()
     }
 
@@ -96,7 +126,7 @@ impl Timing {
     /// Ends the train with the pulses given by now.
     pub(super) fn stop(&self) {
         if let Some(train) = &self.lock().triggered {
-            train.end.fetch_min(train.given(self.pace, self.clock.now()), SeqCst);
+            train.stop(self.pace, self.clock.now());
         }
         self.bell.ring();
     }
@@ -118,7 +148,7 @@ impl Timing {
             }
             TriggerMode::External => {
                 let train = self.running(&trains);
-                let first = train.as_ref().map_or(0, |train| train.given(self.pace, now));
+                let first = train.as_ref().map_or(0, |train| train.given(*train.lock(), self.pace, now));
                 (Attached { train, first }, trains.triggered.clone())
             }
         };
@@ -194,16 +224,14 @@ impl Schedule {
                 (done.saturating_sub(first), Some(HostTime(train.start.0.saturating_add(next_ns))))
             }
         };
-        let end = train.end.load(SeqCst).saturating_sub(first).min(own_end);
+        let end = train.lock().end.saturating_sub(first).min(own_end);
         Outlook { finished, end, next_at, first, period: Some(train.period), stopped }
     }
 
-    /// Notes that all exposures before `count` have been taken.
-    pub(super) fn take(&self, count: u64) {
+    /// In virtual time, takes an exposure, unless the train ends before it.
+    pub(super) fn claim(&self, exposure: u64) -> bool {
         let run = self.run.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(train) = &run.train {
-            train.taken.fetch_max(run.first.saturating_add(count), SeqCst);
-        }
+        run.train.as_ref().is_some_and(|train| train.claim(run.first.saturating_add(exposure)))
     }
 
     /// Ends the exposures with those that are finished now.
@@ -211,7 +239,7 @@ impl Schedule {
         let Attached { train, first } = self.attached();
         let finished = match (train, self.timing.pace) {
             (None, _) => 0,
-            (Some(train), Pace::Unpaced) => train.taken.load(SeqCst).saturating_sub(first),
+            (Some(train), Pace::Unpaced) => train.lock().taken.saturating_sub(first),
             (Some(_), Pace::RealTime { .. }) => self.outlook().finished,
         };
         self.end.fetch_min(finished, SeqCst);

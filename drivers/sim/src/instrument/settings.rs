@@ -105,7 +105,10 @@ pub struct CameraFaults {
     pub stall_at: Option<u64>,
     /// First exposure at which the camera is gone.
     pub die_at: Option<u64>,
-    /// First exposure after the counter began anew; 1000 to 30000, so that it can be recognized.
+    /// First exposure after the counter began anew; 1000 to 30000, so that it can be recognized by its ids.
+    ///
+    /// It still cannot when a thousand frames around it are lost; a trigger missed among the frames lost just
+    /// around it is made good by the clock, so that later frames are not one exposure off for it.
     pub id_restart_at: Option<u64>,
     /// A jump of the camera's clock.
     pub clock_step: Option<ClockStep>,

@@ -95,18 +95,20 @@ impl SimulatedStream {
     }
 
     /// Lets finished exposures arrive: all of them by the clock, in virtual time up to the first that brings
-    /// something or until `patience` of them brought nothing.
-    fn advance(&mut self, until: u64, patience: u64) {
+    /// something. Tells whether `patience` of them brought nothing.
+    fn advance(&mut self, until: u64, patience: u64) -> bool {
         let paced = self.parts.timing.pace != Pace::Unpaced;
         let buffers = if paced { self.parts.behavior.buffers.max(1) } else { usize::MAX };
         let last = if paced { until } else { until.min(self.delivery.next().saturating_add(patience)) };
         let mut record = self.parts.record.lock();
         let arrived = &mut self.arrived;
-        while self.delivery.next() < last && (paced || arrived.is_empty()) {
+        let schedule = &self.parts.schedule;
+        while self.delivery.next() < last
+            && (paced || (arrived.is_empty() && schedule.claim(self.delivery.next())))
+        {
             self.delivery.expose(&mut record, |arrival, record| arrive(arrived, arrival, buffers, record));
         }
-        drop(record);
-        self.parts.schedule.take(self.delivery.next());
+        arrived.is_empty() && last < until && self.delivery.next() >= last
     }
 
     /// Lets everything arrive that is still on its way.
@@ -208,7 +210,7 @@ impl FrameStream for SimulatedStream {
             let end = self.end(outlook);
             let halt = self.halt().filter(|&(at, _)| at < end);
             let until = outlook.finished.min(halt.map_or(end, |(at, _)| at));
-            self.advance(until, patience(outlook, timeout));
+            let fruitless = self.advance(until, patience(outlook, timeout));
             let next = self.delivery.next();
             let halt = halt.filter(|&(at, _)| next >= at);
             if next >= end || halt.is_some() {
@@ -229,7 +231,7 @@ impl FrameStream for SimulatedStream {
                 None if next < end => {}
                 _ => return Err(self.error(ErrorKind::Ended, "no exposure is left")),
             }
-            if next < until || self.now().0 >= deadline {
+            if fruitless || self.now().0 >= deadline {
                 let message = format!("no frame came within {} ms", timeout.as_millis());
                 return Err(self.error(ErrorKind::Timeout, message));
             }
@@ -270,7 +272,8 @@ fn patience(outlook: Outlook, timeout: Duration) -> u64 {
     (nanoseconds(timeout) / period_ns).max(1)
 }
 
-/// Begin of an exposure on the camera's clock; `exposure` counts for the sample, `since_arming` for the faults.
+/// Begin of an exposure on the camera's clock; `exposure` counts for the sample, `since_arming` for
+/// the faults.
 fn device_time(parts: &Parts, exposure: ExposureIndex, since_arming: u64, period: Duration) -> DeviceTime {
     let clock = parts.behavior.clock;
     let nominal_ns = exposure.0.wrapping_mul(nanoseconds(period));
