@@ -5,4 +5,5 @@
 //! Fails: faults of plans all at once; a run that fails ends like any other, with its reason.
 
 pub mod plan;
+pub mod run_state;
 pub mod stop_rule;

@@ -93,7 +93,7 @@ impl Check<'_> {
         }
         let loops = self.loops();
         let stop = self.stop();
-        if loops.is_none() && !stop.has_end() {
+        if raw.time.is_none() && !stop.has_end() {
             self.fault(
                 "time_plan",
                 "the plan has no end",
