@@ -222,7 +222,6 @@ pub(super) fn in_words(message: &str) -> String {
         ("a boolean", "true or false"),
         ("a sequence", "a list"),
         ("a map", "a table"),
-        
     ]
     .iter()
     .fold(message.to_owned(), |said, (kind, words)| {

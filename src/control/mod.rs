@@ -4,6 +4,9 @@
 //! Never: reads a clock of its own, sleeps, looks at pixels, knows which device stands behind a contract.
 //! Fails: faults of plans all at once; a run that fails ends like any other, with its reason.
 
+pub mod contracts;
 pub mod plan;
+pub mod preflight;
 pub mod run_state;
+pub mod sequencer;
 pub mod stop_rule;
