@@ -31,6 +31,12 @@ pub enum DataPathError {
     Recording(String),
 }
 
+impl From<DeviceError> for DataPathError {
+    fn from(error: DeviceError) -> Self {
+        Self::Device(error.to_string())
+    }
+}
+
 /// How far the frames of a series have come.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct PathProgress {

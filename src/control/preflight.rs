@@ -477,10 +477,10 @@ mod tests {
         let both =
             |facts: &mut Facts, change: fn(&mut CameraFacts)| facts.cameras.iter_mut().for_each(change);
         assert_change("exposure within the period", Fail, |facts| {
-            both(facts, |camera| camera.exposure += Duration::from_millis(2))
+            both(facts, |camera| camera.exposure += Duration::from_millis(2));
         });
         assert_change("exposure within the period", Warn, |facts| {
-            both(facts, |camera| camera.exposure = camera.period)
+            both(facts, |camera| camera.exposure = camera.period);
         });
         assert_change("period", Fail, |facts| facts.cameras[1].shortest_period = ms(30));
         assert_change("region on the sensor", Fail, |facts| facts.cameras[0].region.left = 2000);

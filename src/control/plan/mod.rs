@@ -15,6 +15,7 @@
 
 mod checked;
 mod events;
+mod fits;
 mod raw;
 #[cfg(test)]
 mod tests;

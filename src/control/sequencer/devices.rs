@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use sofiscope_hal::{Camera, CameraSettings, Channel, DeviceError, Region, TriggerMode, TriggerSource};
+use sofiscope_hal::{Camera, CameraSettings, Channel, Region, TriggerMode, TriggerSource};
 
 use super::readback::mismatches;
 use crate::control::contracts::{ArmedCamera, DataPathError, Illumination, StageDrive};
@@ -64,7 +64,7 @@ impl Devices {
             let stage = self.stage.as_mut().ok_or_else(|| {
                 device("the plan names a stage position, and the instrument has no stage; remove stage_positions")
             })?;
-            stage.move_to(position).map_err(of_device)?;
+            stage.move_to(position).map_err(DataPathError::from)?;
         }
         self.actual.clear();
         let mut complaints = Vec::new();
@@ -78,7 +78,7 @@ impl Devices {
                     None => TriggerMode::FreeRunning,
                 }),
             };
-            let actual = station.camera.configure(&want).map_err(of_device)?;
+            let actual = station.camera.configure(&want).map_err(DataPathError::from)?;
             let step = station.camera.capabilities().exposure_step;
             let differences = mismatches(&want, &actual, step);
             complaints.extend(differences.iter().map(|found| format!("{}: {found}", station.channel)));
@@ -125,7 +125,7 @@ impl Devices {
         let stations = self.cameras.iter_mut().zip(&self.actual);
         stations
             .map(|(station, &settings)| {
-                let stream = station.camera.arm().map_err(of_device)?;
+                let stream = station.camera.arm().map_err(DataPathError::from)?;
                 Ok(ArmedCamera { channel: station.channel, settings, stream })
             })
             .collect()
@@ -135,31 +135,31 @@ impl Devices {
         if power_mw.is_empty() {
             return Ok(());
         }
-        self.lasers.on(power_mw).map_err(of_device)
+        self.lasers.on(power_mw).map_err(DataPathError::from)
     }
 
     pub(super) fn lasers_off(&mut self) -> Result<(), DataPathError> {
-        self.lasers.off().map_err(of_device)
+        self.lasers.off().map_err(DataPathError::from)
     }
 
     pub(super) fn start_trigger(&mut self, pulses: Option<u64>) -> Result<(), DataPathError> {
         let period = self.period().unwrap_or_default();
         match &mut self.trigger {
             Some(trigger) if self.actual.iter().any(|settings| settings.trigger == TriggerMode::External) => {
-                trigger.start(period, pulses).map_err(of_device)
+                trigger.start(period, pulses).map_err(DataPathError::from)
             }
             _ => Ok(()),
         }
     }
 
     pub(super) fn stop_trigger(&mut self) -> Result<(), DataPathError> {
-        self.trigger.as_mut().map_or(Ok(()), |trigger| trigger.stop().map_err(of_device))
+        self.trigger.as_mut().map_or(Ok(()), |trigger| trigger.stop().map_err(DataPathError::from))
     }
 
     /// Stops every camera, also those behind one that fails to stop.
     pub(super) fn stop_cameras(&mut self) -> Result<(), DataPathError> {
         let outcomes: Vec<_> = self.cameras.iter_mut().map(|station| station.camera.stop()).collect();
-        outcomes.into_iter().collect::<Result<(), _>>().map_err(of_device)
+        outcomes.into_iter().collect::<Result<(), _>>().map_err(DataPathError::from)
     }
 }
 
@@ -172,10 +172,6 @@ impl Drop for Devices {
             }
         }
     }
-}
-
-fn of_device(error: DeviceError) -> DataPathError {
-    DataPathError::Device(error.to_string())
 }
 
 fn device(message: &str) -> DataPathError {
