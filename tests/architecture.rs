@@ -37,7 +37,8 @@ const ROOMS: [Room; 11] = [
         crates: Some(&["bytemuck", "ndarray", "png", "serde", "thiserror"]),
     },
     Room { name: "report", rooms: &["display"], packages: &[], crates: None },
-    Room { name: "config", rooms: &["sofi"], packages: &[], crates: None },
+    // Instrument files name channels and regions in the words of the devices.
+    Room { name: "config", rooms: &["sofi"], packages: &["sofiscope_hal"], crates: None },
     Room {
         name: "reconstruction",
         rooms: &["acquisition", "pipeline", "sofi"],

@@ -211,12 +211,22 @@ impl TryFrom<RawAnalysis> for AnalysisSettings {
 }
 
 /// A message about kinds of values with words in place of the names of Rust's types.
-fn in_words(message: &str) -> String {
-    [("usize", "a whole number"), ("u64", "a whole number"), ("f64", "a number"), ("f32", "a number")]
-        .iter()
-        .fold(message.to_owned(), |said, (kind, words)| {
-            said.replace(&format!("expected {kind}"), &format!("expected {words}"))
-        })
+pub(super) fn in_words(message: &str) -> String {
+    [
+        ("usize", "a whole number"),
+        ("u64", "a whole number"),
+        ("u32", "a whole number"),
+        ("f64", "a number"),
+        ("f32", "a number"),
+        ("a string", "a text"),
+        ("a boolean", "true or false"),
+        ("a sequence", "a list"),
+        ("a map", "a table"),
+    ]
+    .iter()
+    .fold(message.to_owned(), |said, (kind, words)| {
+        said.replace(&format!("expected {kind}"), &format!("expected {words}"))
+    })
 }
 
 /// The value with that name, the first one when none was given; an unknown name is a fault that lists the known ones.

@@ -1,6 +1,7 @@
 //! Settings as typed become settings that can be believed.
 //!
-//! In: text in TOML. Out: [`Catalogue`], the dyes and dichroics that the program knows by name.
+//! In: text in TOML or YAML. Out: [`Catalogue`], the dyes and dichroics that the program knows by name;
+//! [`Instrument`], what is connected where; [`AnalysisSettings`].
 //! Never: stops at the first fault of a file, guesses a name, reads a file itself.
 //! Fails: [`Fault`]s with line, key and remedy; [`DyeError`] for names, with the nearest known ones.
 
@@ -8,9 +9,17 @@ mod analysis;
 mod dyes;
 mod fault;
 mod form;
+mod instrument;
 mod names;
+mod section;
+mod tree;
 
 pub use analysis::{AnalysisFaults, AnalysisSettings, RawAnalysis};
 pub use dyes::{Catalogue, CatalogueError, Dichroic, DyeError, Fluorophore};
 pub use fault::Fault;
+pub use instrument::{
+    CameraEntry, CameraKind, Instrument, InstrumentFaults, Limits, Simulation, TriggerKind,
+};
 pub use names::nearest;
+pub(crate) use section::{Findings, Section};
+pub(crate) use tree::{Content, Node, Places};

@@ -1,0 +1,328 @@
+//! From the instrument file as typed to one that can be believed.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use sofiscope_hal::{Channel, Region};
+
+use super::raw::{self, RawCamera, RawInstrument, RawSimulation};
+use super::{
+    CameraEntry, CameraKind, Instrument, InstrumentFaults, Limits, Simulation, TriggerKind, VERSION,
+};
+use crate::config::dyes::Catalogue;
+use crate::config::nearest;
+use crate::config::section::Findings;
+use crate::config::tree::{Node, Places};
+
+pub(super) fn read(text: &str) -> Result<Instrument, InstrumentFaults> {
+    let node = Node::from_toml(text).map_err(|faults| InstrumentFaults { faults })?;
+    let findings = Findings::default();
+    let document: toml::Table = toml::from_str(text).unwrap_or_default();
+    let faults = document.get("faults").and_then(toml::Value::as_table).cloned();
+    let raw = raw::read(&node, faults, &findings);
+    let check = Check { findings: &findings, places: &raw.places };
+    let instrument = check.instrument(&raw);
+    let mut faults = findings.into_list();
+    // A key that could not be read is not missing as well.
+    let mut seen = Vec::new();
+    faults.retain(|fault| {
+        let is_new = fault.key.is_empty() || !seen.contains(&fault.key);
+        seen.push(fault.key.clone());
+        is_new
+    });
+    if faults.is_empty() { Ok(instrument) } else { Err(InstrumentFaults { faults }) }
+}
+
+struct Check<'a> {
+    findings: &'a Findings,
+    places: &'a Places,
+}
+
+impl Check<'_> {
+    fn fault(&self, key: &str, message: impl Into<String>, remedy: impl Into<String>) {
+        self.findings.note(self.places.line(key), key, message.into(), remedy.into());
+    }
+
+    fn required<T>(&self, key: &str, value: Option<T>, example: &str) -> Option<T> {
+        if value.is_none() {
+            let name = key.rsplit('.').next().unwrap_or(key);
+            self.fault(key, "is missing", format!("add `{name} = {example}`"));
+        }
+        value
+    }
+
+    fn within(&self, key: &str, value: f64, from: f64, to: f64) -> f64 {
+        if !(from..=to).contains(&value) {
+            self.fault(key, format!("is {value}"), format!("give a number from {from} to {to}"));
+        }
+        value
+    }
+
+    fn milliseconds(&self, key: &str, value: f64) -> Duration {
+        let value = self.within(key, value, 0.001, 600_000.0);
+        Duration::try_from_secs_f64(value / 1000.0).unwrap_or_default()
+    }
+
+    fn choice<T: Copy>(&self, key: &str, name: &str, known: &[(&str, T)]) -> Option<T> {
+        let found = known.iter().find(|(known, _)| *known == name).map(|(_, value)| *value);
+        if found.is_none() {
+            let names: Vec<&str> = known.iter().map(|(name, _)| *name).collect();
+            let near = nearest(name, names.iter().copied()).first().map(|near| format!("write \"{near}\""));
+            let remedy = near.unwrap_or_else(|| format!("give one of {}", names.join(", ")));
+            self.fault(key, format!("\"{name}\" is not known"), remedy);
+        }
+        found
+    }
+
+    fn instrument(&self, raw: &RawInstrument) -> Instrument {
+        match raw.top.version {
+            None => self.fault("version", "is missing", format!("add `version = {VERSION}`")),
+            Some(VERSION) => {}
+            Some(other) => {
+                let message = format!("is {other}, and this program reads version {VERSION}");
+                self.fault("version", message, "convert the file, or use the program it was written for");
+            }
+        }
+        let name = self.required("name", raw.top.name.clone(), "\"...\"").unwrap_or_default();
+        let pitch = self.required("pixel_pitch_nm", raw.top.pixel_pitch_nm, "108.0").unwrap_or(108.0);
+        let aperture = raw.top.numerical_aperture;
+        if let Some(dichroic) = &raw.top.dichroic
+            && let Err(error) = Catalogue::built_in().dichroic(dichroic)
+        {
+            self.fault("dichroic", error.to_string(), "give the name of a dichroic of config/dichroics.toml");
+        }
+        let cameras = self.cameras(raw);
+        let trigger = self.trigger(raw);
+        let simulation = self.simulation(raw, &cameras, trigger);
+        Instrument {
+            name,
+            cameras,
+            trigger,
+            pixel_pitch_nm: self.within("pixel_pitch_nm", pitch, 1.0, 100_000.0),
+            numerical_aperture: aperture.map(|value| self.within("numerical_aperture", value, 0.01, 2.0)),
+            dichroic: raw.top.dichroic.clone(),
+            limits: self.limits(raw),
+            simulation,
+        }
+    }
+
+    fn cameras(&self, raw: &RawInstrument) -> Vec<CameraEntry> {
+        let sides = [
+            (Channel::Reflected, "camera.reflected", &raw.reflected),
+            (Channel::Transmitted, "camera.transmitted", &raw.transmitted),
+        ];
+        let cameras: Vec<CameraEntry> = sides
+            .into_iter()
+            .filter_map(|(channel, key, camera)| Some(self.camera(channel, key, camera.as_ref()?)))
+            .collect();
+        match cameras.as_slice() {
+            [] => self.fault("camera", "no camera is there", "add `[camera.reflected]`"),
+            [r, t] if r.serial.is_some() && r.serial == t.serial => self.fault(
+                "camera.transmitted.serial",
+                "is the serial of both cameras",
+                "give each camera its own serial number",
+            ),
+            _ => {}
+        }
+        cameras
+    }
+
+    fn camera(&self, channel: Channel, key: &str, raw: &RawCamera) -> CameraEntry {
+        let name = |field: &str| format!("{key}.{field}");
+        let kind = self
+            .required(&name("kind"), raw.kind.as_deref(), "\"simulated\"")
+            .and_then(|kind| self.choice(&name("kind"), kind, &CameraKind::NAMES))
+            .unwrap_or(CameraKind::Simulated);
+        if kind != CameraKind::Simulated {
+            self.required(&name("serial"), raw.serial.as_ref(), "\"...\", as printed on the camera");
+        }
+        let exposure = self.required(&name("exposure_ms"), raw.exposure_ms, "20.0").unwrap_or(20.0);
+        let exposure = self.milliseconds(&name("exposure_ms"), exposure);
+        let period = raw.period_ms.map(|period| self.milliseconds(&name("period_ms"), period));
+        let period = period.unwrap_or(exposure);
+        if period < exposure {
+            self.fault(
+                &name("period_ms"),
+                "is shorter than the exposure",
+                format!("give at least {} ms", exposure.as_secs_f64() * 1000.0),
+            );
+        }
+        let region = self.region(key, raw);
+        CameraEntry { channel, kind, serial: raw.serial.clone(), exposure, period, region }
+    }
+
+    fn region(&self, key: &str, raw: &RawCamera) -> Option<Region> {
+        if raw.width_px.is_none() && raw.height_px.is_none() && raw.left_px.is_none() && raw.top_px.is_none()
+        {
+            return None;
+        }
+        let size = |field: &str, value: Option<u32>| {
+            let key = format!("{key}.{field}");
+            let value = self.required(&key, value, "512").unwrap_or(512);
+            self.within(&key, f64::from(value), 4.0, 65_536.0);
+            value
+        };
+        Some(Region {
+            left: raw.left_px.unwrap_or(0),
+            top: raw.top_px.unwrap_or(0),
+            width: size("width_px", raw.width_px),
+            height: size("height_px", raw.height_px),
+        })
+    }
+
+    fn trigger(&self, raw: &RawInstrument) -> TriggerKind {
+        let kind = raw.trigger.as_ref().and_then(|trigger| trigger.kind.as_deref());
+        self.required("trigger.kind", kind, "\"simulated\"")
+            .and_then(|kind| self.choice("trigger.kind", kind, &TriggerKind::NAMES))
+            .unwrap_or(TriggerKind::FreeRunning)
+    }
+
+    fn limits(&self, raw: &RawInstrument) -> Limits {
+        let limits = &raw.limits;
+        let time = |key: &str, value: Option<f64>| value.map(|value| self.milliseconds(key, value));
+        let mut laser_power_mw = BTreeMap::new();
+        for (line, &power) in limits.laser_power_mw.iter().flatten() {
+            let key = format!("limits.laser_power_mw.{line}");
+            let power = self.within(&key, power, 0.0, 100_000.0);
+            match line.parse::<u32>() {
+                Ok(line @ 200..=2000) => {
+                    laser_power_mw.insert(line, power);
+                }
+                _ => self.fault(&key, "is no laser line", "write the wavelength in nm, such as 488 = 50.0"),
+            }
+        }
+        Limits {
+            shortest_period: time("limits.shortest_period_ms", limits.shortest_period_ms),
+            longest_exposure: time("limits.longest_exposure_ms", limits.longest_exposure_ms),
+            laser_power_mw,
+        }
+    }
+
+    fn simulation(
+        &self,
+        raw: &RawInstrument,
+        cameras: &[CameraEntry],
+        trigger: TriggerKind,
+    ) -> Option<Simulation> {
+        let is_simulated = cameras.iter().any(|camera| camera.kind == CameraKind::Simulated);
+        if cameras.iter().any(|camera| camera.kind != CameraKind::Simulated)
+            && trigger == TriggerKind::Simulated
+        {
+            self.fault(
+                "trigger.kind",
+                "is simulated, but a camera is not",
+                "name the trigger that is connected",
+            );
+        }
+        match &raw.simulation {
+            None if is_simulated => {
+                self.fault("simulation", "is missing", "add `[simulation]` with `scene = \"figure-s4\"`");
+                None
+            }
+            Some(_) if !is_simulated && !cameras.is_empty() => {
+                self.fault("simulation", "is there, but no camera is simulated", "remove it");
+                None
+            }
+            None => {
+                if raw.faults.is_some() {
+                    self.fault("faults", "is there, but no camera is simulated", "remove it");
+                }
+                None
+            }
+            Some(simulation) => Some(self.simulated(simulation, raw.faults.clone())),
+        }
+    }
+
+    fn simulated(&self, raw: &RawSimulation, faults: Option<toml::Table>) -> Simulation {
+        let scene = self.required("simulation.scene", raw.scene.clone(), "\"figure-s4\"");
+        if let Some(film) = raw.film_frames {
+            self.within("simulation.film_frames", film as f64, 2.0, 1e7);
+        }
+        if raw.fault_scenario.is_some() && faults.is_some() {
+            self.fault(
+                "simulation.fault_scenario",
+                "names a file, and `[faults]` is here too",
+                "keep one of them",
+            );
+        }
+        Simulation {
+            scene: scene.unwrap_or_default(),
+            seed: raw.seed,
+            speed: self.within("simulation.speed", raw.speed.unwrap_or(1.0), 0.0, 1000.0),
+            film_frames: raw.film_frames,
+            fault_scenario: raw.fault_scenario.clone(),
+            faults,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn faults(text: &str) -> Vec<String> {
+        let error = Instrument::from_toml(text).unwrap_err();
+        error.faults.iter().map(ToString::to_string).collect()
+    }
+
+    #[test]
+    fn the_shipped_instrument_is_simulated_and_says_so() {
+        let instrument = Instrument::from_toml(Instrument::simulated_toml()).unwrap();
+        assert_eq!(instrument.cameras().len(), 2);
+        assert!(instrument.cameras().iter().all(|camera| camera.kind == CameraKind::Simulated));
+        assert_eq!(instrument.simulation().unwrap().scene, "figure-s4");
+        assert_eq!(instrument.camera(Channel::Transmitted).unwrap().channel, Channel::Transmitted);
+    }
+
+    #[test]
+    fn all_faults_come_at_once_with_their_lines() {
+        let text = "version = 2\npixel_pitch_nm = -1\nnam = \"x\"\n[camera.reflected]\nkind = \"simulatd\"\nexposure = 20\n\
+                    [trigger]\nkind = 3\n[limits]\nlaser_power_mw = { green = 5.0 }\n[simulation]\nscene = \"a\"\nspeed = nan\n";
+        let found = faults(text);
+        let lines: Vec<&str> = found.iter().map(|fault| fault.split(':').next().unwrap()).collect();
+        for line in ["line 1", "line 2", "line 3", "line 5", "line 6", "line 8", "line 10", "line 13"] {
+            assert!(lines.contains(&line), "{line}: {found:#?}");
+        }
+        assert!(found.iter().any(|fault| fault.contains("write `name`")), "{found:#?}");
+        assert!(found.iter().any(|fault| fault.contains("write \"simulated\"")), "{found:#?}");
+        assert!(found.iter().any(|fault| fault.contains("write `exposure_ms`")), "{found:#?}");
+    }
+
+    #[test]
+    fn simulated_devices_are_only_where_the_file_says_so() {
+        let real = "version = 1\nname = \"rig\"\npixel_pitch_nm = 108\n[trigger]\nkind = \"free-running\"\n\
+                    [camera.reflected]\nkind = \"genicam\"\nserial = \"7\"\nexposure_ms = 20\n";
+        assert!(Instrument::from_toml(real).unwrap().simulation().is_none());
+        let mixed = format!("{real}[simulation]\nscene = \"beads\"\n");
+        assert!(faults(&mixed)[0].contains("no camera is simulated"));
+        let triggered = real.replace("free-running", "simulated");
+        assert!(faults(&triggered)[0].contains("name the trigger"));
+        let nameless = real.replace("serial = \"7\"\n", "");
+        assert!(faults(&nameless)[0].contains("`camera.reflected.serial` is missing"));
+        let simulated = real.replace("genicam", "simulated");
+        assert!(faults(&simulated)[0].contains("`simulation` is missing"));
+    }
+
+    #[test]
+    fn keys_of_the_faults_are_the_simulators() {
+        let text = format!("{}\n[faults]\nanything = [1, 2]\n", Instrument::simulated_toml());
+        let instrument = Instrument::from_toml(&text).unwrap();
+        let faults = instrument.simulation().unwrap().faults.clone().unwrap();
+        assert_eq!(faults["anything"].as_array().unwrap().len(), 2);
+    }
+
+    #[test]
+    fn two_cameras_have_two_serials() {
+        let text = Instrument::simulated_toml().replace("SIM-T", "SIM-R");
+        assert!(faults(&text)[0].contains("both cameras"));
+    }
+
+    #[test]
+    fn nothing_that_can_be_typed_panics() {
+        for text in
+            ["", "version", "camera = 3", "camera.reflected = []", "[[camera]]", "faults = 1\nversion = 1"]
+        {
+            assert!(!faults(text).is_empty());
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! The devices in the sequencer's hand.
+//!
+//! In: what a step of the plan wants. Out: devices that do it, and what they really do.
+//! Never: stops at the first device that fails to stop. Fails: [`DataPathError::Device`] with the device's own words.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use sofiscope_hal::{Camera, CameraSettings, Channel, Region, TriggerMode, TriggerSource};
+
+use super::readback::mismatches;
+use crate::control::contracts::{ArmedCamera, DataPathError, Illumination, StageDrive};
+use crate::control::plan::{AcquisitionEvent, Readback};
+
+/// One camera in its place.
+pub struct CameraStation {
+    /// Its side of the dichroic.
+    pub channel: Channel,
+    /// The camera.
+    pub camera: Box<dyn Camera>,
+    /// Region where the plan names none.
+    pub region: Region,
+}
+
+/// Everything that the sequencer moves.
+pub struct Devices {
+    cameras: Vec<CameraStation>,
+    trigger: Option<Box<dyn TriggerSource>>,
+    lasers: Box<dyn Illumination>,
+    stage: Option<Box<dyn StageDrive>>,
+    actual: Vec<CameraSettings>,
+}
+
+impl Devices {
+    /// One or two cameras, what starts their exposures (nothing where they run by themselves), lasers and stage.
+    #[must_use]
+    pub fn new(
+        cameras: Vec<CameraStation>,
+        trigger: Option<Box<dyn TriggerSource>>,
+        lasers: Box<dyn Illumination>,
+        stage: Option<Box<dyn StageDrive>>,
+    ) -> Self {
+        Self { cameras, trigger, lasers, stage, actual: Vec::new() }
+    }
+
+    /// What each camera really does since the last setting up, in the order of the cameras.
+    #[must_use]
+    pub fn actual(&self) -> &[CameraSettings] {
+        &self.actual
+    }
+
+    pub(super) fn is_triggered(&self) -> bool {
+        self.actual.iter().any(|settings| settings.trigger == TriggerMode::External)
+    }
+
+    /// Time from exposure to exposure that every camera can follow.
+    pub(super) fn period(&self) -> Option<Duration> {
+        self.actual.iter().map(|settings| settings.period).max()
+    }
+
+    /// Moves to the position, configures all cameras and compares what they read back.
+    pub(super) fn set_up(&mut self, event: &AcquisitionEvent) -> Result<(), DataPathError> {
+        if let Some(position) = &event.position {
+            let stage = self.stage.as_mut().ok_or_else(|| {
+                device("the plan names a stage position, and the instrument has no stage; remove stage_positions")
+            })?;
+            stage.move_to(position).map_err(DataPathError::from)?;
+        }
+        self.actual.clear();
+        let mut complaints = Vec::new();
+        for station in &mut self.cameras {
+            let want = CameraSettings {
+                region: event.cameras.regions[station.channel.index()].unwrap_or(station.region),
+                exposure: event.cameras.exposure,
+                period: event.cameras.period,
+                trigger: event.cameras.trigger.unwrap_or(match self.trigger {
+                    Some(_) => TriggerMode::External,
+                    None => TriggerMode::FreeRunning,
+                }),
+            };
+            let actual = station.camera.configure(&want).map_err(DataPathError::from)?;
+            let step = station.camera.capabilities().exposure_step;
+            let differences = mismatches(&want, &actual, step);
+            complaints.extend(differences.iter().map(|found| format!("{}: {found}", station.channel)));
+            self.actual.push(actual);
+        }
+        if !complaints.is_empty() && event.cameras.readback == Readback::Refuse {
+            let list = complaints.join("; ");
+            return Err(device(&format!(
+                "{list}; change the plan, or write accept_readback: true to take what the cameras do"
+            )));
+        }
+        self.compare_cameras()?;
+        if self.is_triggered() && self.trigger.is_none() {
+            return Err(device("the plan wants an external trigger, and the instrument has none"));
+        }
+        Ok(())
+    }
+
+    /// Frames of both cameras make pairs only if size and pace agree.
+    fn compare_cameras(&self) -> Result<(), DataPathError> {
+        let [r, t] = self.actual.as_slice() else {
+            return Ok(());
+        };
+        let same_size = (r.region.width, r.region.height) == (t.region.width, t.region.height);
+        if same_size && r.exposure == t.exposure && r.period == t.period && r.trigger == t.trigger {
+            return Ok(());
+        }
+        Err(device(&format!(
+            "the cameras do different things: {} x {} pixels, exposure {:?}, period {:?} and \
+             {} x {} pixels, exposure {:?}, period {:?}; choose values that both can do",
+            r.region.width,
+            r.region.height,
+            r.exposure,
+            r.period,
+            t.region.width,
+            t.region.height,
+            t.exposure,
+            t.period,
+        )))
+    }
+
+    /// Arms all cameras; when one fails, the teardown stops those before it.
+    pub(super) fn arm(&mut self) -> Result<Vec<ArmedCamera>, DataPathError> {
+        let stations = self.cameras.iter_mut().zip(&self.actual);
+        stations
+            .map(|(station, &settings)| {
+                let stream = station.camera.arm().map_err(DataPathError::from)?;
+                Ok(ArmedCamera { channel: station.channel, settings, stream })
+            })
+            .collect()
+    }
+
+    pub(super) fn lasers_on(&mut self, power_mw: &BTreeMap<u32, f64>) -> Result<(), DataPathError> {
+        if power_mw.is_empty() {
+            return Ok(());
+        }
+        self.lasers.on(power_mw).map_err(DataPathError::from)
+    }
+
+    pub(super) fn lasers_off(&mut self) -> Result<(), DataPathError> {
+        self.lasers.off().map_err(DataPathError::from)
+    }
+
+    pub(super) fn start_trigger(&mut self, pulses: Option<u64>) -> Result<(), DataPathError> {
+        let period = self.period().unwrap_or_default();
+        match &mut self.trigger {
+            Some(trigger) if self.actual.iter().any(|settings| settings.trigger == TriggerMode::External) => {
+                trigger.start(period, pulses).map_err(DataPathError::from)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    pub(super) fn stop_trigger(&mut self) -> Result<(), DataPathError> {
+        self.trigger.as_mut().map_or(Ok(()), |trigger| trigger.stop().map_err(DataPathError::from))
+    }
+
+    /// Stops every camera, also those behind one that fails to stop.
+    pub(super) fn stop_cameras(&mut self) -> Result<(), DataPathError> {
+        let outcomes: Vec<_> = self.cameras.iter_mut().map(|station| station.camera.stop()).collect();
+        outcomes.into_iter().collect::<Result<(), _>>().map_err(DataPathError::from)
+    }
+}
+
+/// Whatever way the sequencer goes, a panic included, nothing stays on behind it.
+impl Drop for Devices {
+    fn drop(&mut self) {
+        for outcome in [self.lasers_off(), self.stop_trigger(), self.stop_cameras()] {
+            if let Err(error) = outcome {
+                tracing::error!("a device could not be turned off at the end: {error}");
+            }
+        }
+    }
+}
+
+fn device(message: &str) -> DataPathError {
+    DataPathError::Device(message.to_owned())
+}
