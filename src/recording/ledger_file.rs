@@ -43,10 +43,6 @@ impl LedgerFile {
         Ok(ledger)
     }
 
-    pub(super) fn path(&self) -> &Path {
-        &self.path
-    }
-
     /// Appends rows.
     pub(super) fn write(&mut self, rows: &[LedgerRow]) -> Result<(), RecordingError> {
         for row in rows {

@@ -166,9 +166,12 @@ impl Metadata {
             let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
             !name.is_empty() && !name.starts_with('.') && name.bytes().all(plain) && !is_ours(name)
         };
-        match self.provenance.iter().enumerate().find(|(at, name)| {
-            !is_free(name) || self.provenance[..*at].contains(name)
-        }) {
+        match self
+            .provenance
+            .iter()
+            .enumerate()
+            .find(|(at, name)| !is_free(name) || self.provenance[..*at].contains(name))
+        {
             Some((_, name)) => fault("provenance", format!("{name:?} cannot be the name of a file here")),
             None => None,
         }

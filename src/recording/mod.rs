@@ -22,6 +22,7 @@ mod facts;
 mod finish;
 mod ledger_file;
 mod lock;
+mod merge;
 mod metadata;
 mod reader;
 mod recorder;

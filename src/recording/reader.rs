@@ -216,17 +216,24 @@ pub struct LedgerRows {
     path: PathBuf,
     lines: BufReader<File>,
     line: u64,
+    /// Bytes of the whole lines so far.
+    bytes: u64,
 }
 
 impl LedgerRows {
     pub(super) fn open(directory: &Path) -> Result<Self, RecordingError> {
         let path = directory.join(LEDGER);
         let file = File::open(&path).map_err(|source| RecordingError::storage(&path, "open", source))?;
-        let mut rows = Self { lines: BufReader::with_capacity(1 << 16, file), path, line: 0 };
+        let mut rows = Self { lines: BufReader::with_capacity(1 << 16, file), path, line: 0, bytes: 0 };
         match rows.next_line()? {
             Some(header) if header == LedgerRow::header() => Ok(rows),
             _ => Err(RecordingError::damaged(&rows.path, "line 1", "not the header of a ledger")),
         }
+    }
+
+    /// Bytes of the whole lines so far.
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes
     }
 
     /// The next whole line.
@@ -237,6 +244,7 @@ impl LedgerRows {
             .read_until(b'\n', &mut bytes)
             .map_err(|source| RecordingError::storage(&self.path, "read", source))?;
         self.line += 1;
+        let len = bytes.len() as u64;
         if bytes.pop() != Some(b'\n') {
             if bytes.len() as u64 + 1 >= MAX_LINE_BYTES {
                 let field = format!("line {}", self.line);
@@ -244,6 +252,7 @@ impl LedgerRows {
             }
             return Ok(None);
         }
+        self.bytes += len;
         Ok(Some(String::from_utf8_lossy(&bytes).into_owned()))
     }
 }

@@ -253,10 +253,8 @@ impl Recording {
         for channel in Channel::BOTH {
             let facts = self.number(group, channel);
             let frames = group.iter().filter_map(|exposure| exposure.frames[channel.index()].as_ref());
-            let staged: Vec<Staged<'_>> = frames
-                .zip(&facts)
-                .map(|(frame, facts)| Staged { pixels: frame.bytes(), facts })
-                .collect();
+            let staged: Vec<Staged<'_>> =
+                frames.zip(&facts).map(|(frame, facts)| Staged { pixels: frame.bytes(), facts }).collect();
             if !staged.is_empty() {
                 self.images[channel.index()].stage(&staged)?;
             }

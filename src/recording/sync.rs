@@ -3,8 +3,8 @@
 //! In: paths of files under way. Out: `fdatasync` on descriptors of its own, on a thread of its own.
 //! Never: retries a sync that failed, since the system reports lost data only once. Fails: the first error stays.
 
-use super::direct::{Gate, Operation};
 use super::RecordingError;
+use super::direct::{Gate, Operation};
 use std::fs::File;
 use std::path::PathBuf;
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -44,13 +44,7 @@ impl Syncer {
                 }
             }
         })?;
-        Ok(Self {
-            requests: Some(requests),
-            thread: Some(thread),
-            failure,
-            last: Instant::now(),
-            bytes: 0,
-        })
+        Ok(Self { requests: Some(requests), thread: Some(thread), failure, last: Instant::now(), bytes: 0 })
     }
 
     /// Notes `bytes` written; true when it is time to sync.

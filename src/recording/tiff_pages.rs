@@ -30,6 +30,8 @@ pub(super) struct TiffPages {
     end: u64,
     /// Offset of the description of the first page.
     description: Option<u64>,
+    /// Where the offset of the directory behind the last page stands.
+    chain_end: u64,
 }
 
 /// The size that every page must have.
@@ -48,6 +50,15 @@ impl FrameSize {
 impl TiffPages {
     /// Walks over all directories.
     pub(super) fn open(path: &Path, size: FrameSize) -> Result<Self, RecordingError> {
+        let (pages, fault) = Self::open_readable(path, size)?;
+        fault.map_or(Ok(pages), Err)
+    }
+
+    /// Walks over the directories up to the first that cannot be read, which is said.
+    pub(super) fn open_readable(
+        path: &Path,
+        size: FrameSize,
+    ) -> Result<(Self, Option<RecordingError>), RecordingError> {
         let file = File::open(path).map_err(|source| RecordingError::storage(path, "open", source))?;
         let mut window = Window::over(path, &file)?;
         let mut header = [0; 16];
@@ -56,26 +67,68 @@ impl TiffPages {
             return Err(RecordingError::damaged(path, "header", "no little-endian BigTIFF"));
         }
         let mut next = word(&header[8..]);
-        let (mut pixels, mut facts, mut end, mut description) = (Vec::new(), Vec::new(), 4096, None);
+        let mut pages = Self {
+            path: path.to_path_buf(),
+            file: file.try_clone().map_err(|source| RecordingError::storage(path, "open", source))?,
+            pixels: Vec::new(),
+            facts: Vec::new(),
+            end: 4096,
+            description: None,
+            chain_end: 8,
+        };
         let mut last = 0;
         while next != 0 {
-            let page = pixels.len() as u64;
+            let page = pages.len();
             if next <= last || page >= MAX_PAGES {
                 let detail = if next <= last { "points backwards" } else { "more pages than are read" };
-                return Err(RecordingError::damaged(path, format!("page {page}, next directory"), detail));
+                let field = format!("page {page}, next directory");
+                return Ok((pages, Some(RecordingError::damaged(path, field, detail))));
             }
             last = next;
-            let found = directory(&mut window, next, page, size)?;
-            if page == 0 {
-                description = found.description;
+            match directory(&mut window, next, page, size) {
+                Err(fault) => return Ok((pages, Some(fault))),
+                Ok(found) => next = pages.add(&found, size),
             }
-            pixels.push(found.pixels);
-            facts.push(found.facts);
-            end = end.max(found.pixels + size.bytes());
-            next = found.next;
         }
-        let end = end.next_multiple_of(4096);
-        Ok(Self { path: path.to_path_buf(), file, pixels, facts, end, description })
+        Ok((pages, None))
+    }
+
+    /// Takes in the next page; returns where the directory behind it is.
+    fn add(&mut self, found: &Found, size: FrameSize) -> u64 {
+        if self.pixels.is_empty() {
+            self.description = found.description;
+        }
+        self.pixels.push(found.pixels);
+        self.facts.push(found.facts);
+        self.end = self.end.max((found.pixels + size.bytes()).next_multiple_of(4096));
+        self.chain_end = found.next_at;
+        found.next
+    }
+
+    /// Ends the chain behind the last page that was read.
+    pub(super) fn end_chain(&self) -> Result<(), RecordingError> {
+        std::fs::OpenOptions::new()
+            .write(true)
+            .open(&self.path)
+            .and_then(|file| file.write_all_at(&[0; 8], self.chain_end))
+            .map_err(|source| RecordingError::storage(&self.path, "write", source))
+    }
+
+    /// Leaves the pages from `pages` on out of the chain, in memory and in the file.
+    pub(super) fn keep(&mut self, pages: u64, size: FrameSize) -> Result<(), RecordingError> {
+        let mut window = Window::over(&self.path, &self.file)?;
+        let mut next = word(window.at(8, 8, "header")?);
+        let (mut end, mut chain_end) = (4096, 8);
+        for page in 0..pages {
+            let found = directory(&mut window, next, page, size)?;
+            end = end.max((found.pixels + size.bytes()).next_multiple_of(4096));
+            (next, chain_end) = (found.next, found.next_at);
+        }
+        drop(window);
+        (self.end, self.chain_end) = (end, chain_end);
+        self.pixels.truncate(pages as usize);
+        self.facts.truncate(pages as usize);
+        self.end_chain()
     }
 
     pub(super) fn len(&self) -> u64 {
@@ -118,6 +171,7 @@ struct Found {
     pixels: u64,
     facts: u64,
     next: u64,
+    next_at: u64,
     description: Option<u64>,
 }
 
@@ -159,7 +213,8 @@ fn directory(window: &mut Window<'_>, at: u64, page: u64, size: FrameSize) -> Re
     if !fits(pixels, size.bytes()) || !fits(facts, FACTS_BYTES as u64) {
         return bad("StripOffsets", format!("{pixels} is beyond the end of the file, {} bytes", window.len));
     }
-    Ok(Found { pixels, facts, next, description })
+    let next_at = at + 8 + num_fields * 20;
+    Ok(Found { pixels, facts, next, next_at, description })
 }
 
 /// A piece of the file that holds several directories.

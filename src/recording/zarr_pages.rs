@@ -4,10 +4,11 @@
 //! Never: reads a shard whole. Fails: [`RecordingError`] with file and field.
 
 use super::RecordingError;
+use super::direct::Gate;
 use super::facts::{FACTS_BYTES, FactsBytes};
 use super::metadata::{CameraDescription, read_text};
 use super::tiff_pages::MAX_PAGES;
-use super::zarr::{FACTS_AT, INDEX_BYTES, SHARD_FRAMES, array_metadata, shard_path};
+use super::zarr::{FACTS_AT, INDEX_BYTES, SHARD_FRAMES, array_metadata, shard_path, write_shape};
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
@@ -45,7 +46,9 @@ impl ZarrPages {
             return Err(RecordingError::damaged(&path, "shape", found["shape"].to_string()));
         };
         let expected = array_metadata(camera, pages);
-        for key in ["zarr_format", "node_type", "shape", "data_type", "chunk_grid", "chunk_key_encoding", "codecs"] {
+        for key in
+            ["zarr_format", "node_type", "shape", "data_type", "chunk_grid", "chunk_key_encoding", "codecs"]
+        {
             if found[key] != expected[key] {
                 let detail = format!("{} where {} was recorded", found[key], expected[key]);
                 return Err(RecordingError::damaged(&path, key, detail));
@@ -53,6 +56,12 @@ impl ZarrPages {
         }
         let frame_bytes = camera.frame_bytes() as u64;
         Ok(Self { directory: directory.to_path_buf(), frame_bytes, pages, shard: None })
+    }
+
+    /// Leaves the frames from `pages` on out of the shape, in memory and in the file.
+    pub(super) fn keep(&mut self, pages: u64, camera: &CameraDescription) -> Result<(), RecordingError> {
+        self.pages = pages;
+        write_shape(&self.directory, camera, pages, &Gate::default())
     }
 
     pub(super) fn len(&self) -> u64 {
