@@ -16,7 +16,7 @@ pub(super) const EVENTS: &str = "events.jsonl";
 /// Room kept so that the last line can be written to a full disk.
 const RESERVE: u64 = 64 << 10;
 /// Events are read up to this size.
-const MAX_EVENTS_BYTES: u64 = 64 << 20;
+const MAX_EVENTS_BYTES: u64 = 16 << 20;
 
 /// How a run ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -1,7 +1,9 @@
 //! Every change of a file made to fail, one after another.
 
 use super::direct::{Gate, Operation};
-use super::{CameraDescription, Format, Recording, RecordingError, RecordingPlan, StopRecord, StopStatus, open};
+use super::{
+    CameraDescription, Format, Recording, RecordingError, RecordingPlan, StopRecord, StopStatus, open,
+};
 use crate::acquisition::{
     Analysis, ExposureRecord, Frame, FrameFacts, LedgerRow, Loss, PairState, RowState, Side,
 };
@@ -18,6 +20,11 @@ use std::time::Duration;
 const SIDE: u32 = 16;
 const LEN: usize = (SIDE * SIDE) as usize;
 const EXPOSURES: u64 = 90;
+
+/// A folder in memory where there is one: nothing here depends on a disk, and syncing takes time.
+fn folder() -> tempfile::TempDir {
+    tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
+}
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Lasting {
@@ -125,7 +132,7 @@ fn assert_readable(directory: &Path) -> Vec<LedgerRow> {
 }
 
 fn assert_survives(k: u64, errno: Errno, lasting: Lasting, format: Format) {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = folder();
     let directory = folder.path().join("run");
     let case = format!("{format:?}, write {k}, {errno:?}, {lasting:?}");
     let (errors, ended) = match record(&directory, format, failing(k, errno, lasting)) {
@@ -178,7 +185,7 @@ fn whichever_write_fails_everything_before_is_readable() {
 #[test]
 fn data_that_does_not_become_durable_fails_the_recording() {
     for format in [Format::OmeTiff, Format::OmeZarr] {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = folder();
         let directory = folder.path().join("run");
         let gate = Gate::new(|operation, path| {
             let is_image = path.to_string_lossy().contains(".ome.");

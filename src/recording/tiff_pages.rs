@@ -10,8 +10,8 @@ use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-/// More pages than this are not kept in memory; 22 hours at 100 per second.
-pub(super) const MAX_PAGES: u64 = 8_000_000;
+/// More pages than this are not kept in memory; 11 hours at 100 per second.
+pub(super) const MAX_PAGES: u64 = 1 << 22;
 /// Directories are read in pieces of this size.
 const WINDOW: usize = 64 << 10;
 const MAX_FIELDS: u64 = 32;

@@ -112,7 +112,11 @@ fn hostile_files_are_refused_with_file_and_field() {
         refuse("ledger.csv", &|text| text.replace("exposure,camera", "a,b"), "line 1");
         refuse("ledger.csv", &|text| text.replace("\n3,T,", "\n3,Q,"), "camera");
         refuse("ledger.csv", &|text| text.replace(",,3,", ",,7,"), "page");
-        refuse("ledger.csv", &|text| text.replace("\n4,R", &("\n".to_owned() + &"4".repeat(5000))), "too long");
+        refuse(
+            "ledger.csv",
+            &|text| text.replace("\n4,R", &("\n".to_owned() + &"4".repeat(5000))),
+            "too long",
+        );
         refuse("events.jsonl", &|text| text.replace("\"event\"", "\"even"), "line 1");
         if format == Format::OmeZarr {
             let name = "reflection.ome.zarr/0/zarr.json";

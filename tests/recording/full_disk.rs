@@ -35,9 +35,9 @@ fn a_full_disk_ends_the_recording_with_all_that_fitted() {
         let mut recording = Recording::create(&plan(&directory, format, 256, 256)).unwrap();
         let mut failures = Vec::new();
         for index in 0..200 {
-            let pushed = recording.push(&exposure(index, 1 << 16)).and_then(|()| {
-                if index % 4 == 3 { recording.commit() } else { Ok(()) }
-            });
+            let pushed = recording
+                .push(&exposure(index, 1 << 16))
+                .and_then(|()| if index % 4 == 3 { recording.commit() } else { Ok(()) });
             failures.extend(pushed.err());
         }
         assert_eq!(failures.len(), 1, "{failures:?}");

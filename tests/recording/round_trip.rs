@@ -8,7 +8,7 @@ use sofiscope_hal::Channel;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-const SIZES: [(u32, u32); 3] = [(40, 57), (64, 64), (1, 1)];
+const SIZES: [(u32, u32); 3] = [(40, 57), (64, 64), (1, 3)];
 
 fn record(directory: &Path, format: Format, (height, width): (u32, u32), exposures: u64) {
     let mut recording = Recording::create(&plan(directory, format, height, width)).unwrap();

@@ -42,9 +42,8 @@ fn disk(path: &Path) -> f64 {
 
 fn recorder(directory: &Path, format: sofiscope::recording::Format) -> f64 {
     // A pool as in a run, so that every frame comes from other memory than the one before.
-    let sides = [0, 1, 2, 3].map(|exposure| {
-        Channel::BOTH.map(|channel| Side::Frame(frame(channel, exposure, LEN)))
-    });
+    let sides =
+        [0, 1, 2, 3].map(|exposure| Channel::BOTH.map(|channel| Side::Frame(frame(channel, exposure, LEN))));
     let mut recording = Recording::create(&plan(directory, format, SIDE, SIDE)).unwrap();
     let begin = Instant::now();
     for index in 0..EXPOSURES {
@@ -66,14 +65,17 @@ fn recorder(directory: &Path, format: sofiscope::recording::Format) -> f64 {
 #[test]
 #[ignore = "measures the disk"]
 fn recording_beside_the_disk() {
-    let folder = tempfile::tempdir_in(std::env::var("SOFISCOPE_TEST_DISK").unwrap_or(".".to_owned())).unwrap();
+    let folder =
+        tempfile::tempdir_in(std::env::var("SOFISCOPE_TEST_DISK").unwrap_or(".".to_owned())).unwrap();
     for round in 0..ROUNDS {
         let before = disk(&folder.path().join("raw"));
         for format in FORMATS {
             let rate = recorder(&folder.path().join("run"), format);
             let after = disk(&folder.path().join("raw"));
             let share = 200.0 * rate / (before + after);
-            println!("round {round}, {format:?}: {rate:.0} MB/s, disk {before:.0} and {after:.0}, {share:.0} %");
+            println!(
+                "round {round}, {format:?}: {rate:.0} MB/s, disk {before:.0} and {after:.0}, {share:.0} %"
+            );
         }
     }
 }
