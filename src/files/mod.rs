@@ -14,6 +14,7 @@ mod stack_writer;
 mod tiff_writer;
 
 pub use self::error::{ErrorKind, FileError, Place, Space};
+pub(crate) use self::ome_xml::{OmeImage, document as ome_document};
 pub use self::output::OutputDirectory;
 pub use self::result::{ResultHeader, Storage, write_result};
 pub use self::space::{ensure_free, free_bytes};

@@ -6,26 +6,28 @@
 use std::fmt::Write;
 
 /// What the description of one image says.
-pub(super) struct OmeImage<'a> {
-    pub(super) name: &'a str,
-    pub(super) description: &'a str,
+pub(crate) struct OmeImage<'a> {
+    pub(crate) name: &'a str,
+    pub(crate) description: &'a str,
     /// Sample type as OME names it: `uint16` or `float`.
-    pub(super) sample: &'static str,
-    pub(super) height: usize,
-    pub(super) width: usize,
+    pub(crate) sample: &'static str,
+    pub(crate) height: usize,
+    pub(crate) width: usize,
     /// One name for each channel; the pages are all channels of the first frame, then of the next.
-    pub(super) channels: &'a [String],
-    pub(super) frames: usize,
-    pub(super) pixel_size_nm: Option<f64>,
-    pub(super) frame_interval_s: Option<f64>,
-    pub(super) settings: &'a [(String, String)],
+    pub(crate) channels: &'a [String],
+    pub(crate) frames: usize,
+    pub(crate) pixel_size_nm: Option<f64>,
+    pub(crate) frame_interval_s: Option<f64>,
+    /// Begin of each frame after the first, in s; empty if it is not known or not worth its room.
+    pub(crate) delta_t_s: &'a [f64],
+    pub(crate) settings: &'a [(String, String)],
 }
 
 const SCHEMA: &str = "http://www.openmicroscopy.org/Schemas/OME/2016-06";
 const NAMESPACE: &str = "sofiscope/settings";
 
 /// The document for one image.
-pub(super) fn document(image: &OmeImage<'_>) -> String {
+pub(crate) fn document(image: &OmeImage<'_>) -> String {
     let has_settings = !image.settings.is_empty();
     let annotation = if has_settings { r#"<AnnotationRef ID="Annotation:0"/>"# } else { "" };
     format!(
@@ -77,8 +79,12 @@ fn pixels(image: &OmeImage<'_>) -> String {
         let name = escape(name);
         xml += &format!(r#"<Channel ID="Channel:0:{index}" Name="{name}" SamplesPerPixel="1"/>"#);
     }
-    xml += &format!(r#"<TiffData IFD="0" PlaneCount="{num_planes}"/></Pixels>"#);
-    xml
+    xml += &format!(r#"<TiffData IFD="0" PlaneCount="{num_planes}"/>"#);
+    for (frame, seconds) in image.delta_t_s.iter().enumerate() {
+        let place = format!(r#"TheZ="0" TheC="0" TheT="{frame}""#);
+        xml += &format!(r#"<Plane {place} DeltaT="{seconds}" DeltaTUnit="s"/>"#);
+    }
+    xml + "</Pixels>"
 }
 
 fn settings(settings: &[(String, String)]) -> String {

@@ -93,6 +93,7 @@ fn ome(header: &ResultHeader) -> String {
         frames: 1,
         pixel_size_nm: header.pixel_size_nm,
         frame_interval_s: None,
+        delta_t_s: &[],
         settings: &header.settings,
     })
 }

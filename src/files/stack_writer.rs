@@ -58,6 +58,7 @@ impl StackHeader {
             frames: self.frames,
             pixel_size_nm: self.pixel_size_nm,
             frame_interval_s: self.frame_interval.map(|interval| interval.as_secs_f64()),
+            delta_t_s: &[],
             settings: &self.settings,
         })
     }

@@ -1,1 +1,46 @@
-//! Frame pairs and provenance to disk, lossless or loudly not.
+//! Frame pairs and provenance to disk, lossless or loudly not; and back.
+//!
+//! ```text
+//! ExposureRecord ─► Recording ─┬─► reflection, transmission: OME-TIFF or OME-Zarr, committed in groups
+//!                              ├─► ledger.csv: one row per exposure of each camera
+//!                              └─► events.jsonl, recording.json, provenance
+//! directory ─► open ─► RecordedRun ─► frames and rows      recover: after a crash      export: to the other format
+//! ```
+//!
+//! In: every exposure once, in order. Out: a directory that opens in stock readers at any moment, and its reader.
+//! Never: promises a frame that is not there, overwrites anything, starts a thread but the one that syncs.
+//! Fails: [`RecordingError`] with path, free bytes and remedy; what was committed stays readable,
+//! and what could not be written is in the ledger as lost.
+//!
+//! A commit writes pixels, then the pointer that makes readers see them, then the rows of the ledger.
+
+mod direct;
+mod error;
+mod events;
+mod export;
+mod facts;
+mod finish;
+mod ledger_file;
+mod lock;
+mod merge;
+mod metadata;
+mod reader;
+mod recorder;
+mod recover;
+mod sync;
+mod tiff;
+mod tiff_pages;
+mod writer;
+mod zarr;
+mod zarr_pages;
+
+#[cfg(test)]
+mod fault_tests;
+
+pub use error::RecordingError;
+pub use events::{Event, StopRecord, StopStatus};
+pub use export::export;
+pub use metadata::{CameraDescription, Format, RecordingPlan};
+pub use reader::{LedgerRows, RecordedRun, open};
+pub use recorder::{Recording, RecordingSummary, SpaceLeft};
+pub use recover::{Outcome, RecoverReport, recover};

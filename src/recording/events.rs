@@ -1,0 +1,153 @@
+//! What happened during a recording, one JSON object per line.
+//!
+//! In: events. Out: `events.jsonl`, each line in the file when `append` returns; the last one is the stop record.
+//! Never: keeps a line back. Fails: [`RecordingError`]; the line is then not there.
+
+use super::RecordingError;
+use super::direct::{Gate, Operation};
+use rustix::fs::{FallocateFlags, fallocate};
+use serde::{Deserialize, Serialize};
+use std::fs::{File, OpenOptions};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+/// Name of the file.
+pub(super) const EVENTS: &str = "events.jsonl";
+/// Room kept so that the last line can be written to a full disk.
+const RESERVE: u64 = 64 << 10;
+/// Events are read up to this size.
+const MAX_EVENTS_BYTES: u64 = 16 << 20;
+
+/// How a run ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StopStatus {
+    /// As planned.
+    Success,
+    /// A person or a rule stopped it.
+    Abort,
+    /// A fault stopped it.
+    Fail,
+    /// The program was gone; the end was written by recovery.
+    CrashRecovered,
+}
+
+/// The last word of a recording.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StopRecord {
+    /// How it ended.
+    pub status: StopStatus,
+    /// Why, for people.
+    pub reason: String,
+}
+
+/// One line.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Event {
+    /// When, in UTC.
+    pub time: jiff::Timestamp,
+    /// What, as one word or two with a hyphen; `stop` ends the recording.
+    pub event: String,
+    /// Everything else.
+    #[serde(flatten)]
+    pub details: serde_json::Map<String, serde_json::Value>,
+}
+
+impl Event {
+    /// An event of this moment.
+    #[must_use]
+    pub fn now(event: &str, details: serde_json::Map<String, serde_json::Value>) -> Self {
+        Self { time: jiff::Timestamp::now(), event: event.to_owned(), details }
+    }
+
+    pub(super) fn stop(stop: &StopRecord) -> Self {
+        let details = match serde_json::to_value(stop) {
+            Ok(serde_json::Value::Object(details)) => details,
+            _ => serde_json::Map::new(),
+        };
+        Self::now("stop", details)
+    }
+
+    /// The stop record, if this is one.
+    #[must_use]
+    pub fn as_stop(&self) -> Option<StopRecord> {
+        let details = serde_json::Value::Object(self.details.clone());
+        (self.event == "stop").then(|| serde_json::from_value(details).ok()).flatten()
+    }
+}
+
+/// The open file.
+#[derive(Debug)]
+pub(super) struct EventLog {
+    file: File,
+    path: PathBuf,
+    gate: Gate,
+    end: u64,
+}
+
+impl EventLog {
+    pub(super) fn create(directory: &Path, gate: Gate) -> Result<Self, RecordingError> {
+        let path = directory.join(EVENTS);
+        let file = gate
+            .pass(Operation::Write, &path)
+            .and_then(|()| OpenOptions::new().write(true).create_new(true).open(&path))
+            .map_err(|source| RecordingError::storage(&path, "create", source))?;
+        // A disk that cannot reserve still writes.
+        let _ = fallocate(&file, FallocateFlags::KEEP_SIZE, 0, RESERVE);
+        Ok(Self { file, path, gate, end: 0 })
+    }
+
+    /// Opens the log of a crashed recording behind its last whole line; without a file, a new one.
+    pub(super) fn reopen(directory: &Path, end: u64) -> Result<Self, RecordingError> {
+        let path = directory.join(EVENTS);
+        let file = OpenOptions::new()
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(&path)
+            .and_then(|file| file.set_len(end).map(|()| file))
+            .map_err(|source| RecordingError::storage(&path, "open", source))?;
+        Ok(Self { file, path, gate: Gate::default(), end })
+    }
+
+    /// Appends one line.
+    pub(super) fn append(&mut self, event: &Event) -> Result<(), RecordingError> {
+        let failed = |source| RecordingError::storage(&self.path, "write", source);
+        let mut line = serde_json::to_vec(event).map_err(|error| failed(error.into()))?;
+        line.push(b'\n');
+        self.gate
+            .pass(Operation::Write, &self.path)
+            .and_then(|()| self.file.write_all_at(&line, self.end))
+            .map_err(failed)?;
+        self.end += line.len() as u64;
+        Ok(())
+    }
+
+    /// Gives back what was reserved and makes the log durable.
+    pub(super) fn close(self) -> Result<(), RecordingError> {
+        self.file
+            .set_len(self.end)
+            .and_then(|()| self.gate.pass(Operation::Sync, &self.path))
+            .and_then(|()| self.file.sync_all())
+            .map_err(|source| RecordingError::storage(&self.path, "sync", source))
+    }
+}
+
+/// All whole lines, and the bytes that they take.
+pub(super) fn read(directory: &Path) -> Result<(Vec<Event>, u64), RecordingError> {
+    let path = directory.join(EVENTS);
+    let text = super::metadata::read_text(&path, MAX_EVENTS_BYTES)?;
+    let mut events = Vec::new();
+    let mut end = 0;
+    for line in text.split_inclusive('\n') {
+        if !line.ends_with('\n') {
+            break;
+        }
+        let event = serde_json::from_str(line).map_err(|error| {
+            RecordingError::damaged(&path, format!("line {}", events.len() + 1), error.to_string())
+        })?;
+        events.push(event);
+        end += line.len() as u64;
+    }
+    Ok((events, end))
+}

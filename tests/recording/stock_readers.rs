@@ -1,0 +1,101 @@
+//! Recordings in the programs that others use: tifffile and zarr-python, where they are installed.
+
+use crate::common::{FORMATS, exposure, plan, stop};
+use sofiscope::recording::{Recording, open};
+use std::path::PathBuf;
+use std::process::Command;
+
+/// Names a python that has tifffile and zarr; `python3` otherwise.
+const PYTHON: &str = "SOFISCOPE_TEST_PYTHON";
+
+/// Prints a line per image: path, number of frames, wrong frames. Skipped formats print `skipped`.
+const SCRIPT: &str = r#"
+import sys, numpy as np
+def pixels(channel, exposure, n):
+    m = (1 << 64) - 1
+    state = ((exposure * 2 + channel + 1) * 0x9e3779b97f4a7c15) & m
+    out = np.empty(n, np.uint16)
+    for i in range(n):
+        state = (state * 6364136223846793005 + 1442695040888963407) & m
+        out[i] = state >> 48
+    out[0], out[1], out[2] = channel + 1, exposure & 0xffff, exposure >> 16
+    return out
+def check(path, frames, channel):
+    wrong, last = 0, -1
+    for frame in frames:
+        flat = np.asarray(frame).reshape(-1)
+        exposure = int(flat[1]) | int(flat[2]) << 16
+        if flat[0] != channel + 1 or exposure <= last or not (flat == pixels(channel, exposure, flat.size)).all():
+            wrong += 1
+        last = exposure
+    print(path, len(frames), wrong)
+for path in sys.argv[1:]:
+    channel = 1 if 'transmission' in path else 0
+    try:
+        if path.endswith('.tif'):
+            import tifffile
+        else:
+            import zarr
+    except ImportError:
+        print('skipped', path)
+        continue
+    if path.endswith('.tif'):
+        with tifffile.TiffFile(path) as tif:
+            check(path, [page.asarray() for page in tif.pages], channel)
+            if tif.is_ome:
+                assert len(tif.series) == 1 and tif.series[0].size == sum(page.size for page in tif.pages), path
+    else:
+        array = zarr.open_group(path, mode='r')['0']
+        check(path, array[:], channel)
+"#;
+
+/// Opens recordings with stock readers; frames and pixels must be those of the recording.
+pub(crate) fn assert_open(directories: &[PathBuf], height: u32, width: u32) {
+    let mut images = Vec::new();
+    for directory in directories {
+        let run = open(directory).unwrap();
+        for channel in sofiscope_hal::Channel::BOTH {
+            if run.frames(channel) > 0 {
+                images.push((directory.join(run.metadata().image_name(channel)), run.frames(channel)));
+            }
+        }
+    }
+    let python = std::env::var(PYTHON).unwrap_or_else(|_| "python3".to_owned());
+    let paths = images.iter().map(|(path, _)| path);
+    let Ok(output) = Command::new(&python).arg("-c").arg(SCRIPT).args(paths).output() else {
+        println!("skipped: no {python}");
+        return;
+    };
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    let mut skipped = 0;
+    for ((path, frames), line) in images.iter().zip(said.lines()) {
+        if line.starts_with("skipped") {
+            skipped += 1;
+            continue;
+        }
+        assert_eq!(line, format!("{} {frames} 0", path.display()), "{height} x {width}");
+    }
+    if skipped > 0 {
+        println!("skipped: {skipped} of {} images, {python} has no reader for them", images.len());
+    }
+}
+
+#[test]
+fn finished_recordings_open_in_stock_readers() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut directories = Vec::new();
+    for format in FORMATS {
+        let directory = folder.path().join(format!("{format:?}"));
+        let mut recording = Recording::create(&plan(&directory, format, 40, 57)).unwrap();
+        for index in 0..150 {
+            recording.push(&exposure(index, 40 * 57)).unwrap();
+            if index % 21 == 20 {
+                recording.commit().unwrap();
+            }
+        }
+        recording.finish(stop()).unwrap();
+        directories.push(directory);
+    }
+    assert_open(&directories, 40, 57);
+}
