@@ -1,17 +1,18 @@
 //! `bench --live`: whether this computer keeps up with two cameras: a film loop through the whole pipeline.
 
 use super::AppError;
-use super::analysis::{Prepared, Source};
-use super::data_path::{AnalysisPart, DataPathSettings, PreviewPart};
-use super::live_run::{self, Devices, RunRequest};
-use super::preview_picture::compose;
+use super::analysis::{self, Prepared};
+use super::live_path::{PathOptions, reason_text};
+use super::session::acquire;
+use super::simulated;
 use crate::acquisition::{LeaveOut, Patience};
 use crate::config::{AnalysisSettings, RawAnalysis};
-use crate::sofi::cumulant::CumulantEngine;
+use crate::control::plan::RecordingFormat;
 use serde::Serialize;
-use sofiscope_hal::{CameraSettings, Region, TriggerMode};
 use sofiscope_sim::instrument::Pace;
-use sofiscope_sim::{Film, InstrumentSettings, SimulatedInstrument};
+use sofiscope_sim::{Film, InstrumentSettings, Source};
+use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Frames of the film; more than a block, so that nothing stays in a cache from one to the next.
@@ -29,6 +30,9 @@ pub(super) struct LiveArguments {
     /// Pairs to measure
     #[arg(long, default_value_t = 2000, requires = "live")]
     pairs: u64,
+    /// Record into this directory, which must not exist
+    #[arg(long, requires = "live")]
+    record: Option<PathBuf>,
 }
 
 /// What came out.
@@ -38,6 +42,8 @@ struct LiveMeasurement {
     height: u32,
     rate_per_second: f64,
     pairs: u64,
+    frames_recorded: u64,
+    frames_not_recorded: u64,
     pairs_analyzed: u64,
     frames_lost: u64,
     pairs_left_out: u64,
@@ -93,49 +99,33 @@ pub(super) fn run(arguments: &LiveArguments, order: usize, json: bool) -> Result
 }
 
 fn measure(side: u32, arguments: &LiveArguments, order: usize) -> Result<LiveMeasurement, AppError> {
-    let pixels = (side * side) as usize;
     let film = Film::noise(side as usize, side as usize, FILM_FRAMES, 1);
-    let pace = Pace::RealTime { speed: 1.0 };
-    let settings =
-        InstrumentSettings { pace, exposures: Some(arguments.pairs), ..InstrumentSettings::default() };
-    let instrument = SimulatedInstrument::new(film, settings);
-    let [reflected, transmitted] = instrument.cameras();
-    let mut devices = Devices {
-        cameras: [Box::new(reflected), Box::new(transmitted)],
-        trigger: Some(Box::new(instrument.trigger())),
-    };
     let prepared = prepared(side, arguments.pairs, order)?;
-    let engine = CumulantEngine::new(prepared.engine.clone(), side as usize, side as usize);
-    let period = Duration::from_secs_f64(1.0 / arguments.rate);
-    let region = Region { left: 0, top: 0, width: side, height: side };
-    let painter = prepared.clone();
-    let request = RunRequest {
-        camera: CameraSettings { region, exposure: period, period, trigger: TriggerMode::External },
-        exposures: Some(arguments.pairs),
-        data_path: DataPathSettings {
-            pixels,
-            period,
-            patience: Patience::Live,
-            leave_out: LeaveOut::new(),
-            pool_frames: None,
-        },
-        analysis: Some(AnalysisPart {
-            engine: engine.map_err(AppError::usage)?,
-            trace_every: u64::MAX,
-            preview: Some(PreviewPart {
-                every: Duration::from_millis(300),
-                fine_pixels: pixels * order * order,
-                compose: Box::new(move |snapshot| compose(&painter, snapshot)),
-            }),
-        }),
-        recorder: None,
-        watch_silence: true,
+    let simulation =
+        InstrumentSettings { pace: Pace::RealTime { speed: 1.0 }, ..InstrumentSettings::default() };
+    let rig = simulated::rig(Source::Film(Arc::new(film)), simulation);
+    let recording = arguments.record.as_ref().map(|_| RecordingFormat::OmeTiff);
+    let options = PathOptions {
+        analysis: Some(prepared),
+        preview_every: Some(Duration::from_millis(300)),
+        patience: Patience::Live,
+        leave_out: LeaveOut::new(),
+        recording: arguments.record.clone(),
+        identities: rig.identities,
+        pixel_pitch_nm: None,
+        provenance: Vec::new(),
+        pool_frames: None,
     };
+    let period = Duration::from_secs_f64(1.0 / arguments.rate);
+    let event = simulated::series(period, arguments.pairs, recording.unwrap_or(RecordingFormat::None));
     let cpu = cpu_seconds();
-    let (report, reason, took) = live_run::run(&mut devices, request, |_| None)?;
-    if !report.defects.is_empty() || reason != live_run::FinishReason::Completed {
-        eprintln!("{reason:?}; {}", report.defects.join("; "));
+    let acquired = acquire(rig.devices, options, vec![event])?;
+    for record in acquired.records.iter().filter(|record| !record.reason.is_success()) {
+        eprintln!("the run ended early: {}", reason_text(&record.reason));
     }
+    let result =
+        acquired.results.first().ok_or_else(|| AppError::Device("the run did not begin".to_owned()))?;
+    let (report, took) = (&result.report, result.report.seconds.max(1e-3));
     let accounts = &report.dispatch.accounts;
     let mut latencies = report.preview.latencies_s.clone();
     latencies.sort_by(f64::total_cmp);
@@ -148,14 +138,16 @@ fn measure(side: u32, arguments: &LiveArguments, order: usize) -> Result<LiveMea
         height: side,
         rate_per_second: arguments.rate,
         pairs: accounts.pairs,
+        frames_recorded: result.recording.as_ref().map_or(0, |recording| recording.recorded.iter().sum()),
         pairs_analyzed: accounts.pairs_analyzed,
+        frames_not_recorded: accounts.cameras.iter().flat_map(|camera| camera.unrecorded.values()).sum(),
         frames_lost: accounts.lost_by_reason().values().sum(),
         pairs_left_out: accounts.analysis_left_out.values().sum(),
-        pictures_per_second: report.preview.pictures as f64 / took.as_secs_f64(),
+        pictures_per_second: report.preview.pictures as f64 / took,
         picture_binning: report.preview.binning.map_or(0, crate::sofi::cumulant::Binning::side),
         latency_median_s: quantile(0.5),
         latency_p99_s: quantile(0.99),
-        cpu_seconds_per_second: (cpu_seconds() - cpu) / took.as_secs_f64(),
+        cpu_seconds_per_second: (cpu_seconds() - cpu) / took,
     })
 }
 
@@ -167,7 +159,7 @@ fn prepared(side: u32, frames: u64, order: usize) -> Result<Prepared, AppError> 
         ..RawAnalysis::default()
     };
     let input = |role: &str| (role.to_owned(), "simulated: film loop".to_owned(), "uint16".to_owned());
-    let source = Source {
+    let source = analysis::Source {
         inputs: vec![input("camera R"), input("camera T")],
         height: side as usize,
         width: side as usize,

@@ -10,7 +10,7 @@
 //! Never: lets one consumer hold up another. Fails: [`AppError`] when threads or memory are not to be had.
 
 use super::AppError;
-use super::recorder::{Recorder, RecorderReport};
+use super::recorder::{Recorder, RecorderStatus};
 use crate::acquisition::{
     Dispatch, DispatchReport, ExposureRecord, FramePair, FramePool, Grabbed, Grabber, GrabberEnd,
     GrabberStatus, HostClock, LeaveOut, Pairing, PairingSettings, Patience, PressureGauge, Progress,
@@ -19,6 +19,7 @@ use crate::pipeline::{Bell, Receiver, Sender, Stage, Viewer, WhenFull, bounded, 
 use crate::reconstruction::{
     LiveAnalysis, LiveReport, PreviewReport, PreviewSettings, Shown, Snapshot, preview,
 };
+use crate::recording::Recording;
 use crate::sofi::cumulant::{CumulantEngine, PushError};
 use sofiscope_hal::{Channel, DeviceError, FrameStream, HostTime};
 use std::sync::Arc;
@@ -90,13 +91,23 @@ pub(super) struct DataPath<P: Send + Sync> {
     dispatch: Stage<DispatchReport>,
     analysis: Option<AnalysisStage>,
     preview: Option<PreviewStage>,
-    recorder: Option<Stage<RecorderReport>>,
+    recorder: Option<Stage<Recording>>,
+    recorder_status: RecorderStatus,
     stop: Arc<AtomicBool>,
     progress: Viewer<Progress>,
     pictures: Viewer<Shown<P>>,
     clock: HostClock,
     /// When the first exposure could begin.
     begin: HostTime,
+}
+
+/// What can fail while frames come.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum PathFailure {
+    /// The disk.
+    Recording(String),
+    /// One camera has ended and the other has not.
+    OneCamera,
 }
 
 /// How a run ended.
@@ -108,12 +119,14 @@ pub(super) struct RunReport {
     pub(super) analysis: Option<LiveReport>,
     /// The preview.
     pub(super) preview: PreviewReport,
-    /// The recording.
-    pub(super) recorder: Option<RecorderReport>,
+    /// The recording, still open for its stop record.
+    pub(super) recording: Option<Recording>,
     /// Cameras that failed.
     pub(super) camera_failures: Vec<(Channel, DeviceError)>,
     /// Threads that failed.
     pub(super) defects: Vec<String>,
+    /// From the begin to the last frame, seconds.
+    pub(super) seconds: f64,
 }
 
 impl<P: Send + Sync + 'static> DataPath<P> {
@@ -145,6 +158,7 @@ impl<P: Send + Sync + 'static> DataPath<P> {
         };
         let (to_analysis, analysis, preview, pictures) =
             analysis_stages(analysis, frames, when_full, &gauge, clock)?;
+        let recorder_status = recorder.as_ref().map(|recorder| recorder.status.clone()).unwrap_or_default();
         let (to_recording, recorder) = recorder_stage(recorder, frames, when_full)?;
         let (publisher, progress) = latest(Progress::default());
         let lead = (settings.patience == Patience::Live).then_some((frames / 4) as u64);
@@ -176,6 +190,7 @@ impl<P: Send + Sync + 'static> DataPath<P> {
             analysis,
             preview,
             recorder,
+            recorder_status,
             stop,
             progress,
             pictures,
@@ -194,19 +209,27 @@ impl<P: Send + Sync + 'static> DataPath<P> {
         self.pictures.look().clone()
     }
 
-    /// Whether both cameras have said all they had to say.
+    /// Whether both cameras have said all they had to say and every exposure is resolved.
     pub(super) fn cameras_are_done(&self) -> bool {
-        self.grabbers.iter().all(Stage::is_finished)
+        self.grabbers.iter().all(Stage::is_finished) && self.dispatch.is_finished()
     }
 
-    /// Whether one camera has ended while the other goes on.
-    pub(super) fn one_camera_is_done(&self) -> bool {
-        self.grabbers.iter().any(Stage::is_finished)
+    /// Whether everything that came is worked on.
+    pub(super) fn is_finished(&self) -> bool {
+        self.cameras_are_done()
+            && self.analysis.as_ref().is_none_or(Stage::is_finished)
+            && self.preview.as_ref().is_none_or(Stage::is_finished)
+            && self.recorder.as_ref().is_none_or(Stage::is_finished)
     }
 
-    /// Whether the recording has ended before it was told to.
-    pub(super) fn recorder_is_done(&self) -> bool {
-        self.recorder.as_ref().is_some_and(Stage::is_finished)
+    /// What has failed so far.
+    pub(super) fn failure(&self) -> Option<PathFailure> {
+        if let Some(message) = self.recorder_status.failure() {
+            return Some(PathFailure::Recording(message.to_owned()));
+        }
+        let ended = self.grabbers.iter().filter(|grabber| grabber.is_finished()).count();
+        // A camera that ends while the other goes on has failed; its error is told when the run is joined.
+        (ended == 1).then_some(PathFailure::OneCamera)
     }
 
     /// Time since the last frame of each camera; before the first, since the threads were there.
@@ -215,6 +238,11 @@ impl<P: Send + Sync + 'static> DataPath<P> {
         self.status
             .each_ref()
             .map(|status| now.since(self.begin.max(HostTime(status.last_frame_ns.load(Ordering::Relaxed)))))
+    }
+
+    /// Whether the camera that still goes on has had this much time to end as well.
+    pub(super) fn outlasted(&self, time: Duration) -> bool {
+        self.silence().into_iter().max().unwrap_or_default() > time
     }
 
     /// Frames that came from each camera, usable or not.
@@ -230,6 +258,8 @@ impl<P: Send + Sync + 'static> DataPath<P> {
     /// Waits until everything that came is worked on.
     pub(super) fn join(self) -> RunReport {
         let (mut camera_failures, mut defects) = (Vec::new(), Vec::new());
+        let newest = self.status.iter().map(|status| status.last_frame_ns.load(Ordering::Relaxed)).max();
+        let seconds = HostTime(newest.unwrap_or_default()).since(self.begin).as_secs_f64();
         for (channel, grabber) in Channel::BOTH.into_iter().zip(self.grabbers) {
             match grabber.join() {
                 Ok(GrabberEnd::Failed(error)) => camera_failures.push((channel, error)),
@@ -259,8 +289,8 @@ impl<P: Send + Sync + 'static> DataPath<P> {
                 PreviewReport::default()
             })
         });
-        let recorder = self.recorder.and_then(|stage| stage.join().map_err(|p| note(p.to_string())).ok());
-        RunReport { dispatch, analysis, preview, recorder, camera_failures, defects }
+        let recording = self.recorder.and_then(|stage| stage.join().map_err(|p| note(p.to_string())).ok());
+        RunReport { dispatch, analysis, preview, recording, camera_failures, defects, seconds }
     }
 }
 
@@ -334,7 +364,7 @@ fn yield_to_others() {
     }
 }
 
-type RecorderParts = (Option<Sender<ExposureRecord>>, Option<Stage<RecorderReport>>);
+type RecorderParts = (Option<Sender<ExposureRecord>>, Option<Stage<Recording>>);
 
 fn recorder_stage(
     recorder: Option<Recorder>,

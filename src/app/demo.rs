@@ -1,24 +1,20 @@
 //! `demo`: the simulated two-camera microscope, frame by frame through the engine, scored against the truth.
 
 use super::AppError;
-use super::analysis::{Analysis, Prepared, Source, TRACE_POINTS};
-use super::data_path::{AnalysisPart, DataPathSettings, PreviewPart};
-use super::live_run::{self, Devices, RunRequest};
-use super::preview_picture::compose;
-use super::progress::Progress;
-use super::results::{Scores, ensure_space, species_names, write_results};
+use super::analysis::{self, Analysis, Prepared};
+use super::live_path::PathOptions;
+use super::results::{Scores, species_names};
 use super::score::{Images, Score, Stage, StageImages, score_images, text};
-use crate::acquisition::{Accounts, LeaveOut, Patience};
+use super::session::{Ended, acquire, analysis_of, write};
+use super::simulated;
+use crate::acquisition::LeaveOut;
 use crate::config::{AnalysisSettings, RawAnalysis};
-use crate::files::OutputDirectory;
+use crate::control::plan::RecordingFormat;
 use crate::report::{Crosstalk, CrosstalkReference, Resolution, ResolutionValue};
-use crate::sofi::cumulant::CumulantEngine;
 use crate::sofi::spectra::{Species, SpectralResponse};
 use serde::Serialize;
-use sofiscope_hal::{CameraSettings, Region, TriggerMode};
 use sofiscope_sim::instrument::Pace;
-use sofiscope_sim::{InstrumentSettings, Scene, SimulatedInstrument, World};
-use std::collections::BTreeMap;
+use sofiscope_sim::{InstrumentSettings, Scene, Source, World};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -38,7 +34,7 @@ pub(super) struct DemoArguments {
     /// Seed of the simulated sample and its noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Directory for the results [default: sofiscope-demo, or the next free sofiscope-demo-N]
+    /// Directory for recording and results [default: sofiscope-demo, or the next free sofiscope-demo-N]
     #[arg(long)]
     out: Option<PathBuf>,
     /// Speed of the simulated microscope; 1 is real time
@@ -51,16 +47,9 @@ pub(super) struct DemoArguments {
 
 /// What scripts are told at the end.
 #[derive(Debug, Serialize)]
-struct Ended {
-    frames_received: u64,
-    frames_recorded: u64,
-    frames_lost: BTreeMap<String, u64>,
-    pairs: u64,
-    pairs_analyzed: u64,
-    simulated: bool,
-    /// The demo does not record yet, it analyzes as the frames come.
-    recording: Option<PathBuf>,
-    results: PathBuf,
+struct Scored {
+    #[serde(flatten)]
+    ended: Ended,
     score: Score,
 }
 
@@ -70,93 +59,46 @@ struct Ended {
 /// [`AppError`]: a scene that cannot be used, an output that exists, a full disk.
 pub(super) fn run(arguments: &DemoArguments) -> Result<(), AppError> {
     let world = Arc::new(World::new(&scene(arguments)?, arguments.seed));
-    let out = OutputDirectory::create(&out_path(arguments))?;
+    let out = out_path(arguments);
     eprintln!("simulated microscope: {} seen by two cameras; no hardware is involved", world.scene().name());
     let prepared = Prepared::new(settings()?, source(&world)?)?;
-    ensure_space(&prepared, &out)?;
-    let (analysis, _accounts) = play(&world, prepared, arguments)?;
+    let pace = if arguments.speed > 0.0 && arguments.speed.is_finite() {
+        Pace::RealTime { speed: arguments.speed }
+    } else {
+        Pace::Unpaced
+    };
+    let simulation = InstrumentSettings { pace, ..InstrumentSettings::default() };
+    let rig = simulated::rig(Source::World(Arc::clone(&world)), simulation);
+    let options = PathOptions {
+        analysis: Some(prepared.clone()),
+        preview_every: Some(Duration::from_millis(250)),
+        patience: simulated::patience_of(pace),
+        leave_out: LeaveOut::new(),
+        recording: Some(out.clone()),
+        identities: rig.identities,
+        pixel_pitch_nm: Some(prepared.pixel_pitch_nm),
+        provenance: Vec::new(),
+        pool_frames: None,
+    };
+    let period = Duration::from_secs_f64(world.scene().exposure_ms() / 1e3);
+    let event = simulated::series(period, world.scene().frames(), RecordingFormat::OmeTiff);
+    let mut acquired = acquire(rig.devices, options, vec![event])?;
+    if let Some(failure) = acquired.failure() {
+        return Err(failure);
+    }
+    let mut ended = acquired.ended(true);
+    let series = acquired.results.first_mut().ok_or_else(|| AppError::data("the demo made no series"))?;
+    let analysis = analysis_of(series, prepared)?;
     let score = score(&world, &analysis)?;
-    let command = std::env::args().collect::<Vec<_>>().join(" ");
-    let summary = write_results(&analysis, &out, &command, Some(scores(&score)))?;
-    let results = out.commit()?;
+    let (results, summary) = write(&analysis, &out.join("results"), Some(scores(&score)))?;
     if !arguments.json {
         println!("{}", text(&score));
+        println!("{}", ended.line());
         return summary.print(&results, false);
     }
-    let ended = Ended {
-        frames_received: 2 * analysis.feed.exposures,
-        frames_recorded: 0,
-        frames_lost: BTreeMap::new(),
-        pairs: analysis.feed.exposures,
-        pairs_analyzed: analysis.drawing.samples,
-        simulated: true,
-        recording: None,
-        results,
-        score,
-    };
-    println!("{}", serde_json::to_string(&ended).map_err(AppError::data)?);
+    ended.results = Some(results);
+    println!("{}", serde_json::to_string(&Scored { ended, score }).map_err(AppError::data)?);
     Ok(())
-}
-
-/// Plays the scene live: simulated cameras, the pipeline, the running cumulants.
-fn play(
-    world: &Arc<World>,
-    prepared: Prepared,
-    arguments: &DemoArguments,
-) -> Result<(Analysis, Accounts), AppError> {
-    let scene = world.scene();
-    let frames = scene.frames();
-    let pace = match arguments.speed {
-        speed if speed.is_finite() && speed > 0.0 => Pace::RealTime { speed },
-        _ => Pace::Unpaced,
-    };
-    let settings = InstrumentSettings { pace, exposures: Some(frames), ..InstrumentSettings::default() };
-    let instrument = SimulatedInstrument::new(sofiscope_sim::Source::World(Arc::clone(world)), settings);
-    let [reflected, transmitted] = instrument.cameras();
-    let mut devices = Devices {
-        cameras: [Box::new(reflected), Box::new(transmitted)],
-        trigger: Some(Box::new(instrument.trigger())),
-    };
-    let period = Duration::from_secs_f64(scene.exposure_ms() / 1e3);
-    let region = Region { left: 0, top: 0, width: scene.width_px() as u32, height: scene.height_px() as u32 };
-    let engine = CumulantEngine::new(prepared.engine.clone(), scene.height_px(), scene.width_px())
-        .map_err(AppError::usage)?;
-    let painter = prepared.clone();
-    let fine_pixels = scene.num_pixels() * prepared.grid.order().pow(2);
-    let request = RunRequest {
-        camera: CameraSettings { region, exposure: period, period, trigger: TriggerMode::External },
-        exposures: Some(frames),
-        data_path: DataPathSettings {
-            pixels: scene.num_pixels(),
-            period,
-            patience: Patience::Live,
-            leave_out: LeaveOut::new(),
-            pool_frames: None,
-        },
-        analysis: Some(AnalysisPart {
-            engine,
-            trace_every: frames.div_ceil(TRACE_POINTS),
-            preview: Some(PreviewPart {
-                every: Duration::from_millis(250),
-                fine_pixels,
-                compose: Box::new(move |snapshot| compose(&painter, snapshot)),
-            }),
-        }),
-        recorder: None,
-        watch_silence: true,
-    };
-    let mut progress = Progress::begin("pairs", frames);
-    let mut shown = 0;
-    let (report, reason, took) = live_run::run(&mut devices, request, |path| {
-        let exposures = path.progress().exposures;
-        progress.advance(exposures - shown);
-        shown = exposures;
-        None
-    })?;
-    progress.finish();
-    eprintln!("{reason:?} {:?} {:?} {:?}", report.preview, report.dispatch.accounts, report.defects);
-    let live = report.analysis.ok_or_else(|| AppError::data("no analysis"))?;
-    Ok((prepared.finish(&live.engine, live.feed, took)?, report.dispatch.accounts))
 }
 
 fn scene(arguments: &DemoArguments) -> Result<Scene, AppError> {
@@ -182,7 +124,7 @@ fn settings() -> Result<AnalysisSettings, AppError> {
     AnalysisSettings::try_from(RawAnalysis::default()).map_err(AppError::usage)
 }
 
-fn source(world: &World) -> Result<Source, AppError> {
+fn source(world: &World) -> Result<analysis::Source, AppError> {
     let scene = world.scene();
     let species = |truth: &sofiscope_sim::SpeciesTruth| {
         let response = SpectralResponse::measured(truth.transmission, truth.reflection);
@@ -190,7 +132,7 @@ fn source(world: &World) -> Result<Source, AppError> {
         Ok(Species { name: truth.name.clone(), response, emission_nm: Some(truth.emission_nm) })
     };
     let input = |role: &str| (role.to_owned(), format!("simulated: {}", scene.name()), "uint16".to_owned());
-    Ok(Source {
+    Ok(analysis::Source {
         inputs: vec![input("camera R"), input("camera T")],
         height: scene.height_px(),
         width: scene.width_px(),

@@ -12,13 +12,15 @@ mod cli;
 mod data_path;
 mod demo;
 mod error;
-mod live_run;
+mod live_path;
 mod preview_picture;
 mod progress;
 mod recorder;
 mod results;
 pub mod score;
+mod session;
 pub mod simulate;
+mod simulated;
 mod summary;
 mod text_file;
 

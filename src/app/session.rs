@@ -1,0 +1,243 @@
+//! One session with the instrument: the sequencer at work, Ctrl-C heard, progress shown, results written.
+//!
+//! In: devices, a data path's options, the steps of a plan. Out: stop records, results and what scripts are told.
+//! Never: writes results over others. Fails: [`AppError`] of the kind of what failed.
+
+use super::AppError;
+use super::analysis::{Analysis, Prepared};
+use super::live_path::{LivePath, PathOptions, SeriesResult, reason_text};
+use super::progress::Progress;
+use super::results::{Scores, Summary, ensure_space, write_results};
+use crate::acquisition::HostClock;
+use crate::control::contracts::{Clock, StopRecord};
+use crate::control::plan::AcquisitionEvent;
+use crate::control::run_state::FinishReason;
+use crate::control::sequencer::{Begin, Command, Devices, Patience, Sequencer, Status};
+use crate::files::OutputDirectory;
+use serde::Serialize;
+use sofiscope_hal::HostTime;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+use std::time::Duration;
+
+/// Commands that may wait for the sequencer.
+const COMMANDS: usize = 16;
+
+impl Clock for HostClock {
+    fn now(&self) -> HostTime {
+        HostClock::now(self)
+    }
+}
+
+/// What a session left.
+#[derive(Debug)]
+pub(super) struct Acquired {
+    pub(super) records: Vec<StopRecord>,
+    pub(super) results: Vec<SeriesResult>,
+}
+
+/// What scripts are told at the end of `demo`, `run` and `replay`.
+#[derive(Debug, Serialize)]
+pub(super) struct Ended {
+    pub(super) frames_received: u64,
+    pub(super) frames_recorded: u64,
+    /// By reason.
+    pub(super) frames_lost: BTreeMap<String, u64>,
+    pub(super) pairs: u64,
+    pub(super) pairs_analyzed: u64,
+    pub(super) simulated: bool,
+    /// Why the run ended, for people.
+    pub(super) ended: String,
+    pub(super) recording: Option<PathBuf>,
+    pub(super) results: Option<PathBuf>,
+}
+
+/// Carries out the steps, showing progress on stderr.
+///
+/// # Errors
+/// [`AppError::Device`] when Ctrl-C cannot be heard.
+pub(super) fn acquire(
+    devices: Devices,
+    options: PathOptions,
+    events: Vec<AcquisitionEvent>,
+) -> Result<Acquired, AppError> {
+    let (sender, commands) = crossbeam_channel::bounded(COMMANDS);
+    let _listening = listen_for_interrupts(sender)?;
+    let mut path = LivePath::new(options);
+    let clock = HostClock::start();
+    let (mut shown, mut bar) = (0, None);
+    let total = events.iter().filter_map(|event| event.exposures).sum();
+    let mut observer = |status: &Status<'_>| {
+        let bar = bar.get_or_insert_with(|| Progress::begin("exposures", total));
+        let frames = status.progress.frames;
+        bar.advance(frames.saturating_sub(shown));
+        shown = shown.max(frames);
+    };
+    let mut records = Vec::new();
+    let mut sequencer = Sequencer {
+        devices,
+        path: &mut path,
+        commands,
+        clock: &clock,
+        observer: &mut observer,
+        begin: Begin::AtOnce,
+        patience: Patience::default(),
+    };
+    for event in events {
+        let record = sequencer.run_event(event);
+        let is_success = record.reason.is_success();
+        records.push(record);
+        if !is_success {
+            break;
+        }
+    }
+    drop(sequencer);
+    if let Some(bar) = bar {
+        bar.finish();
+    }
+    Ok(Acquired { records, results: path.results })
+}
+
+/// The place to which Ctrl-C is told; one for the whole program, as there is one keyboard.
+static INTERRUPTS: OnceLock<std::sync::Mutex<Option<crossbeam_channel::Sender<Command>>>> = OnceLock::new();
+
+/// While this is held, Ctrl-C is a command to the sequencer; afterwards it ends the program again.
+struct Listening(crossbeam_channel::Sender<Command>);
+
+fn listen_for_interrupts(sender: crossbeam_channel::Sender<Command>) -> Result<Listening, AppError> {
+    let slot = INTERRUPTS.get_or_init(Default::default);
+    let is_first = {
+        let mut slot = slot.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        slot.replace(sender.clone()).is_none()
+    };
+    static HANDLER: OnceLock<Result<(), String>> = OnceLock::new();
+    let handler = HANDLER.get_or_init(|| ctrlc::set_handler(interrupted).map_err(|error| error.to_string()));
+    debug_assert!(is_first, "one session at a time");
+    match handler {
+        Ok(()) => Ok(Listening(sender)),
+        Err(error) => Err(AppError::Device(format!("Ctrl-C cannot be heard: {error}"))),
+    }
+}
+
+fn interrupted() {
+    let slot = INTERRUPTS.get_or_init(Default::default);
+    let listener = slot.lock().unwrap_or_else(std::sync::PoisonError::into_inner).clone();
+    match listener {
+        Some(sender) => {
+            // A full queue holds a stop already.
+            let _ = sender.try_send(Command::Interrupt);
+        }
+        // 128 + SIGINT, as shells expect of a program that nobody asked to stay.
+        None => std::process::exit(130),
+    }
+}
+
+impl Drop for Listening {
+    fn drop(&mut self) {
+        if let Some(slot) = INTERRUPTS.get() {
+            *slot.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = None;
+        }
+    }
+}
+
+impl Ended {
+    /// The books in one line.
+    pub(super) fn line(&self) -> String {
+        let lost: u64 = self.frames_lost.values().sum();
+        let reasons: Vec<String> = self.frames_lost.iter().map(|(why, n)| format!("{n} {why}")).collect();
+        let why = if lost > 0 { format!(" ({})", reasons.join(", ")) } else { String::new() };
+        let recording = self.recording.as_ref().map(|path| format!(", recording {}", path.display()));
+        format!(
+            "{} frames received, {} recorded, {lost} lost{why}; {} pairs, {} analyzed{}",
+            self.frames_received,
+            self.frames_recorded,
+            self.pairs,
+            self.pairs_analyzed,
+            recording.unwrap_or_default()
+        )
+    }
+}
+
+impl Acquired {
+    /// The first series that did not end as planned, as an error of the program.
+    pub(super) fn failure(&self) -> Option<AppError> {
+        let failed = self.records.iter().find(|record| matches!(record.reason, FinishReason::Failed(_)))?;
+        Some(AppError::Device(reason_text(&failed.reason)))
+    }
+
+    /// What scripts are told; results are filled in by whoever writes them.
+    pub(super) fn ended(&self, simulated: bool) -> Ended {
+        let mut ended = Ended {
+            frames_received: 0,
+            frames_recorded: 0,
+            frames_lost: BTreeMap::new(),
+            pairs: 0,
+            pairs_analyzed: 0,
+            simulated,
+            ended: self.records.last().map(|record| reason_text(&record.reason)).unwrap_or_default(),
+            recording: None,
+            results: None,
+        };
+        for result in &self.results {
+            let accounts = &result.report.dispatch.accounts;
+            ended.frames_received += accounts.cameras.iter().map(|camera| camera.received).sum::<u64>();
+            ended.pairs += accounts.pairs;
+            ended.pairs_analyzed += accounts.pairs_analyzed;
+            for (reason, frames) in accounts.lost_by_reason() {
+                *ended.frames_lost.entry(reason.name().to_owned()).or_default() += frames;
+            }
+            if let Some(recording) = &result.recording {
+                ended.frames_recorded += recording.recorded.iter().sum::<u64>();
+                ended.recording.get_or_insert_with(|| recording.directory.clone());
+            }
+        }
+        ended
+    }
+}
+
+/// The images of a series' live analysis.
+///
+/// # Errors
+/// [`AppError::Data`] when there is too little to make an image of.
+pub(super) fn analysis_of(result: &mut SeriesResult, prepared: Prepared) -> Result<Analysis, AppError> {
+    let live = result.report.analysis.take().ok_or_else(|| {
+        AppError::Data(format!("the live analysis failed: {}", result.report.defects.join("; ")))
+    })?;
+    let mut prepared = prepared;
+    prepared.warnings.extend(loss_warnings(result));
+    let took = Duration::from_secs_f64(result.report.seconds);
+    prepared.finish(&live.engine, live.feed, took)
+}
+
+/// What the reader of a report must know about lost frames.
+fn loss_warnings(result: &SeriesResult) -> Vec<String> {
+    let accounts = &result.report.dispatch.accounts;
+    let mut warnings = Vec::new();
+    for (reason, frames) in accounts.lost_by_reason() {
+        warnings.push(format!("{frames} frames were lost: {reason}."));
+    }
+    for (reason, pairs) in &accounts.analysis_left_out {
+        warnings.push(format!("{pairs} pairs were not analyzed while frames came: {reason}."));
+    }
+    if let Err(law) = accounts.balance() {
+        warnings.push(format!("The books do not balance, which is a defect of the program: {law}."));
+    }
+    warnings
+}
+
+/// Writes the results of an analysis into a directory that must not exist yet.
+///
+/// # Errors
+/// [`AppError`] when the disk says no.
+pub(super) fn write(
+    analysis: &Analysis,
+    directory: &Path,
+    scores: Option<Scores>,
+) -> Result<(PathBuf, Summary), AppError> {
+    let out = OutputDirectory::create(directory)?;
+    ensure_space(&analysis.prepared, &out)?;
+    let command = std::env::args().collect::<Vec<_>>().join(" ");
+    let summary = write_results(analysis, &out, &command, scores)?;
+    Ok((out.commit()?, summary))
+}
