@@ -28,6 +28,8 @@ use std::time::Instant;
 const GROUP_BYTES: u64 = 16 << 20;
 /// Or this many exposures, with or without frames.
 const GROUP_EXPOSURES: usize = 4096;
+/// From this size on, both cameras' frames are written side by side.
+const SIDE_BY_SIDE_BYTES: usize = 1 << 20;
 /// A run ends when less than this is free.
 const LOW_WATER_BYTES: u64 = 2 << 30;
 /// Or less than what the cameras deliver in this time.
@@ -250,29 +252,26 @@ impl Recording {
     }
 
     fn write_images(&mut self, group: &mut [Pending]) -> Result<(), RecordingError> {
-        for channel in Channel::BOTH {
-            let facts = self.number(group, channel);
-            let frames = group.iter().filter_map(|exposure| exposure.frames[channel.index()].as_ref());
-            let staged: Vec<Staged<'_>> =
-                frames.zip(&facts).map(|(frame, facts)| Staged { pixels: frame.bytes(), facts }).collect();
-            if !staged.is_empty() {
-                self.images[channel.index()].stage(&staged)?;
-            }
+        let (mut side_r, mut side_t): (Vec<Numbered<'_>>, Vec<Numbered<'_>>) = (Vec::new(), Vec::new());
+        for Pending { rows: [row_r, row_t], frames: [frame_r, frame_t] } in group {
+            side_r.extend(frame_r.as_ref().map(|frame| (row_r, frame)));
+            side_t.extend(frame_t.as_ref().map(|frame| (row_t, frame)));
+        }
+        let bytes: usize = side_t.iter().map(|(_, frame)| frame.bytes().len()).sum();
+        let [image_r, image_t] = &mut self.images;
+        if bytes < SIDE_BY_SIDE_BYTES {
+            stage(image_r, side_r)?;
+            stage(image_t, side_t)?;
+        } else {
+            // Checksums of one camera are computed while the disk is busy with the other.
+            std::thread::scope(|scope| {
+                let other = scope.spawn(|| stage(image_t, side_t));
+                let this = stage(image_r, side_r);
+                let other = other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+                this.and(other)
+            })?;
         }
         self.images.iter_mut().try_for_each(ImageWriter::publish)
-    }
-
-    /// Gives the frames of one camera their pages and checksums.
-    fn number(&self, group: &mut [Pending], channel: Channel) -> Vec<FactsBytes> {
-        let mut page = self.images[channel.index()].pages();
-        let mut all = Vec::with_capacity(group.len());
-        for Pending { rows, frames } in group {
-            let (row, Some(frame)) = (&mut rows[channel.index()], &frames[channel.index()]) else { continue };
-            row.state = RowState::Recorded { page, crc32c: crc32c::crc32c(frame.bytes()) };
-            all.push(facts::encode(row).unwrap_or([0; facts::FACTS_BYTES]));
-            page += 1;
-        }
-        all
     }
 
     fn write_rows(&mut self, group: &[Pending]) -> Result<(), RecordingError> {
@@ -419,6 +418,26 @@ impl RecordingSummary {
         let all = rows.iter().all(|row| matches!(row.state, RowState::Recorded { .. }));
         self.pairs += u64::from(all && rows[0].pair == PairState::Paired);
     }
+}
+
+/// A frame and its row, which gets page and checksum.
+type Numbered<'a> = (&'a mut LedgerRow, &'a Frame);
+
+/// Numbers the frames of one camera and writes them, not yet for readers to see.
+fn stage(image: &mut ImageWriter, side: Vec<Numbered<'_>>) -> Result<(), RecordingError> {
+    if side.is_empty() {
+        return Ok(());
+    }
+    let mut facts: Vec<FactsBytes> = Vec::with_capacity(side.len());
+    let mut pixels = Vec::with_capacity(side.len());
+    for ((row, frame), page) in side.into_iter().zip(image.pages()..) {
+        row.state = RowState::Recorded { page, crc32c: crc32c::crc32c(frame.bytes()) };
+        facts.push(facts::encode(row).unwrap_or([0; facts::FACTS_BYTES]));
+        pixels.push(frame.bytes());
+    }
+    let staged: Vec<Staged<'_>> =
+        pixels.into_iter().zip(&facts).map(|(pixels, facts)| Staged { pixels, facts }).collect();
+    image.stage(&staged)
 }
 
 /// Marks every frame of a group as lost.
