@@ -7,18 +7,18 @@
 use super::RecordingError;
 use super::direct::{Gate, Operation, sync_directory};
 use super::events::{Event, EventLog, StopRecord, StopStatus};
-use super::facts::{self, FactsBytes};
 use super::finish::{MAX_PLANE_TIMES, finish_image};
+use super::group::{Pending, lose, lose_beyond, write_images};
 use super::ledger_file::LedgerFile;
 use super::lock::Lock;
 use super::metadata::{METADATA, Metadata, RecordingPlan, stride};
+use super::summary::RecordingSummary;
 use super::sync::Syncer;
-use super::writer::{ImageWriter, Staged};
-use crate::acquisition::{ExposureRecord, Frame, FrameFacts, LedgerRow, Loss, PairState, RowState, Side};
+use super::writer::ImageWriter;
+use crate::acquisition::{ExposureRecord, Frame, FrameFacts, LedgerRow, Loss, RowState, Side};
 use crate::files::free_bytes;
 use serde_json::json;
 use sofiscope_hal::Channel;
-use std::collections::BTreeMap;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -28,8 +28,6 @@ use std::time::Instant;
 const GROUP_BYTES: u64 = 16 << 20;
 /// Or this many exposures, with or without frames.
 const GROUP_EXPOSURES: usize = 4096;
-/// From this size on, both cameras' frames are written side by side.
-const SIDE_BY_SIDE_BYTES: usize = 1 << 20;
 /// A run ends when less than this is free.
 const LOW_WATER_BYTES: u64 = 2 << 30;
 /// Or less than what the cameras deliver in this time.
@@ -54,30 +52,6 @@ pub struct Recording {
     failed: Option<(Loss, String)>,
     tally: RecordingSummary,
     times: [Vec<u64>; 2],
-}
-
-/// One exposure on its way to the disk.
-#[derive(Debug)]
-pub(super) struct Pending {
-    pub(super) rows: [LedgerRow; 2],
-    pub(super) frames: [Option<Frame>; 2],
-}
-
-/// What a recording holds.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct RecordingSummary {
-    /// Where it is.
-    pub directory: PathBuf,
-    /// Exposures in the ledger.
-    pub exposures: u64,
-    /// Frames in the files of R and T.
-    pub recorded: [u64; 2],
-    /// Frames that are not, by reason.
-    pub lost: [BTreeMap<Loss, u64>; 2],
-    /// Exposures whose frames make a pair and are both recorded.
-    pub pairs: u64,
-    /// How it ended.
-    pub stop: StopRecord,
 }
 
 /// Room on the disk.
@@ -235,7 +209,7 @@ impl Recording {
         let before: u64 = self.images.iter().map(ImageWriter::bytes).sum();
         let outcome = match self.syncer.failure() {
             Some(error) => Err(error),
-            None => self.write_images(group),
+            None => write_images(&mut self.images, group),
         };
         match outcome {
             Ok(()) => {
@@ -249,29 +223,6 @@ impl Recording {
                 Err(error)
             }
         }
-    }
-
-    fn write_images(&mut self, group: &mut [Pending]) -> Result<(), RecordingError> {
-        let (mut side_r, mut side_t): (Vec<Numbered<'_>>, Vec<Numbered<'_>>) = (Vec::new(), Vec::new());
-        for Pending { rows: [row_r, row_t], frames: [frame_r, frame_t] } in group {
-            side_r.extend(frame_r.as_ref().map(|frame| (row_r, frame)));
-            side_t.extend(frame_t.as_ref().map(|frame| (row_t, frame)));
-        }
-        let bytes: usize = side_t.iter().map(|(_, frame)| frame.bytes().len()).sum();
-        let [image_r, image_t] = &mut self.images;
-        if bytes < SIDE_BY_SIDE_BYTES {
-            stage(image_r, side_r)?;
-            stage(image_t, side_t)?;
-        } else {
-            // Checksums of one camera are computed while the disk is busy with the other.
-            std::thread::scope(|scope| {
-                let other = scope.spawn(|| stage(image_t, side_t));
-                let this = stage(image_r, side_r);
-                let other = other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-                this.and(other)
-            })?;
-        }
-        self.images.iter_mut().try_for_each(ImageWriter::publish)
     }
 
     fn write_rows(&mut self, group: &[Pending]) -> Result<(), RecordingError> {
@@ -391,69 +342,6 @@ impl Recording {
         self.lock.release();
         sync_directory(&self.directory, &self.gate)?;
         Ok(self.tally)
-    }
-}
-
-impl RecordingSummary {
-    pub(super) fn empty(directory: &Path) -> Self {
-        Self {
-            directory: directory.to_path_buf(),
-            exposures: 0,
-            recorded: [0; 2],
-            lost: [BTreeMap::new(), BTreeMap::new()],
-            pairs: 0,
-            stop: StopRecord { status: StopStatus::Success, reason: String::new() },
-        }
-    }
-
-    fn count(&mut self, rows: &[LedgerRow; 2]) {
-        self.exposures += 1;
-        for (index, row) in rows.iter().enumerate() {
-            match row.state {
-                RowState::Recorded { .. } => self.recorded[index] += 1,
-                RowState::Unrecorded => {}
-                RowState::Lost(loss) => *self.lost[index].entry(loss).or_default() += 1,
-            }
-        }
-        let all = rows.iter().all(|row| matches!(row.state, RowState::Recorded { .. }));
-        self.pairs += u64::from(all && rows[0].pair == PairState::Paired);
-    }
-}
-
-/// A frame and its row, which gets page and checksum.
-type Numbered<'a> = (&'a mut LedgerRow, &'a Frame);
-
-/// Numbers the frames of one camera and writes them, not yet for readers to see.
-fn stage(image: &mut ImageWriter, side: Vec<Numbered<'_>>) -> Result<(), RecordingError> {
-    if side.is_empty() {
-        return Ok(());
-    }
-    let mut facts: Vec<FactsBytes> = Vec::with_capacity(side.len());
-    let mut pixels = Vec::with_capacity(side.len());
-    for ((row, frame), page) in side.into_iter().zip(image.pages()..) {
-        row.state = RowState::Recorded { page, crc32c: crc32c::crc32c(frame.bytes()) };
-        facts.push(facts::encode(row).unwrap_or([0; facts::FACTS_BYTES]));
-        pixels.push(frame.bytes());
-    }
-    let staged: Vec<Staged<'_>> =
-        pixels.into_iter().zip(&facts).map(|(pixels, facts)| Staged { pixels, facts }).collect();
-    image.stage(&staged)
-}
-
-/// Marks every frame of a group as lost.
-fn lose(group: &mut [Pending], loss: Loss) {
-    lose_beyond(group, [0; 2], loss);
-}
-
-/// Marks the frames at `pages` and behind as lost, and those that have no page yet.
-fn lose_beyond(group: &mut [Pending], pages: [u64; 2], loss: Loss) {
-    for Pending { rows, frames } in group {
-        for ((row, frame), pages) in rows.iter_mut().zip(frames.iter_mut()).zip(pages) {
-            let is_there = matches!(row.state, RowState::Recorded { page, .. } if page < pages);
-            if frame.take().is_some() && !is_there {
-                row.state = RowState::Lost(loss);
-            }
-        }
     }
 }
 
