@@ -4,7 +4,7 @@
 //! Never: changes the source, copies a frame whose checksum is wrong. Fails: [`RecordingError`].
 
 use super::direct::Gate;
-use super::recorder::Pending;
+use super::group::Pending;
 use super::{Event, Format, RecordedRun, Recording, RecordingError, RecordingPlan, RecordingSummary, open};
 use crate::acquisition::{Frame, FrameFacts, LedgerRow, RowState};
 use sofiscope_hal::{Channel, FrameInfo, FrameStatus};

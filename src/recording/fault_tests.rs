@@ -66,7 +66,7 @@ fn plan(directory: &Path, format: Format) -> RecordingPlan {
         directory: directory.to_path_buf(),
         format,
         cameras: [camera.clone(), camera],
-        planned_exposures: None,
+        planned_exposures: Some(EXPOSURES),
         simulated: true,
         provenance: Vec::new(),
     }

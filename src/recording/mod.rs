@@ -8,7 +8,7 @@
 //! ```
 //!
 //! In: every exposure once, in order. Out: a directory that opens in stock readers at any moment, and its reader.
-//! Never: promises a frame that is not there, overwrites anything, starts a thread but the one that syncs.
+//! Never: promises a frame that is not there, overwrites anything, starts a thread but the one that syncs and, for the time of one group, one for the second camera.
 //! Fails: [`RecordingError`] with path, free bytes and remedy; what was committed stays readable,
 //! and what could not be written is in the ledger as lost.
 //!
@@ -20,6 +20,7 @@ mod events;
 mod export;
 mod facts;
 mod finish;
+mod group;
 mod ledger_file;
 mod lock;
 mod merge;
@@ -27,6 +28,7 @@ mod metadata;
 mod reader;
 mod recorder;
 mod recover;
+mod summary;
 mod sync;
 mod tiff;
 mod tiff_pages;
@@ -40,7 +42,8 @@ mod fault_tests;
 pub use error::RecordingError;
 pub use events::{Event, StopRecord, StopStatus};
 pub use export::export;
-pub use metadata::{CameraDescription, Format, RecordingPlan};
+pub use metadata::{CameraDescription, Format, Metadata, RecordingPlan};
 pub use reader::{LedgerRows, RecordedRun, open};
-pub use recorder::{Recording, RecordingSummary, SpaceLeft};
+pub use recorder::{Recording, SpaceLeft};
 pub use recover::{Outcome, RecoverReport, recover};
+pub use summary::RecordingSummary;

@@ -7,18 +7,18 @@
 use super::RecordingError;
 use super::direct::{Gate, Operation, sync_directory};
 use super::events::{Event, EventLog, StopRecord, StopStatus};
-use super::facts::{self, FactsBytes};
 use super::finish::{MAX_PLANE_TIMES, finish_image};
+use super::group::{Pending, lose, lose_beyond, write_images};
 use super::ledger_file::LedgerFile;
 use super::lock::Lock;
 use super::metadata::{METADATA, Metadata, RecordingPlan, stride};
+use super::summary::RecordingSummary;
 use super::sync::Syncer;
-use super::writer::{ImageWriter, Staged};
-use crate::acquisition::{ExposureRecord, Frame, FrameFacts, LedgerRow, Loss, PairState, RowState, Side};
+use super::writer::ImageWriter;
+use crate::acquisition::{ExposureRecord, Frame, FrameFacts, LedgerRow, Loss, RowState, Side};
 use crate::files::free_bytes;
 use serde_json::json;
 use sofiscope_hal::Channel;
-use std::collections::BTreeMap;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -52,30 +52,6 @@ pub struct Recording {
     failed: Option<(Loss, String)>,
     tally: RecordingSummary,
     times: [Vec<u64>; 2],
-}
-
-/// One exposure on its way to the disk.
-#[derive(Debug)]
-pub(super) struct Pending {
-    pub(super) rows: [LedgerRow; 2],
-    pub(super) frames: [Option<Frame>; 2],
-}
-
-/// What a recording holds.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct RecordingSummary {
-    /// Where it is.
-    pub directory: PathBuf,
-    /// Exposures in the ledger.
-    pub exposures: u64,
-    /// Frames in the files of R and T.
-    pub recorded: [u64; 2],
-    /// Frames that are not, by reason.
-    pub lost: [BTreeMap<Loss, u64>; 2],
-    /// Exposures whose frames make a pair and are both recorded.
-    pub pairs: u64,
-    /// How it ended.
-    pub stop: StopRecord,
 }
 
 /// Room on the disk.
@@ -233,7 +209,7 @@ impl Recording {
         let before: u64 = self.images.iter().map(ImageWriter::bytes).sum();
         let outcome = match self.syncer.failure() {
             Some(error) => Err(error),
-            None => self.write_images(group),
+            None => write_images(&mut self.images, group),
         };
         match outcome {
             Ok(()) => {
@@ -247,32 +223,6 @@ impl Recording {
                 Err(error)
             }
         }
-    }
-
-    fn write_images(&mut self, group: &mut [Pending]) -> Result<(), RecordingError> {
-        for channel in Channel::BOTH {
-            let facts = self.number(group, channel);
-            let frames = group.iter().filter_map(|exposure| exposure.frames[channel.index()].as_ref());
-            let staged: Vec<Staged<'_>> =
-                frames.zip(&facts).map(|(frame, facts)| Staged { pixels: frame.bytes(), facts }).collect();
-            if !staged.is_empty() {
-                self.images[channel.index()].stage(&staged)?;
-            }
-        }
-        self.images.iter_mut().try_for_each(ImageWriter::publish)
-    }
-
-    /// Gives the frames of one camera their pages and checksums.
-    fn number(&self, group: &mut [Pending], channel: Channel) -> Vec<FactsBytes> {
-        let mut page = self.images[channel.index()].pages();
-        let mut all = Vec::with_capacity(group.len());
-        for Pending { rows, frames } in group {
-            let (row, Some(frame)) = (&mut rows[channel.index()], &frames[channel.index()]) else { continue };
-            row.state = RowState::Recorded { page, crc32c: crc32c::crc32c(frame.bytes()) };
-            all.push(facts::encode(row).unwrap_or([0; facts::FACTS_BYTES]));
-            page += 1;
-        }
-        all
     }
 
     fn write_rows(&mut self, group: &[Pending]) -> Result<(), RecordingError> {
@@ -392,49 +342,6 @@ impl Recording {
         self.lock.release();
         sync_directory(&self.directory, &self.gate)?;
         Ok(self.tally)
-    }
-}
-
-impl RecordingSummary {
-    pub(super) fn empty(directory: &Path) -> Self {
-        Self {
-            directory: directory.to_path_buf(),
-            exposures: 0,
-            recorded: [0; 2],
-            lost: [BTreeMap::new(), BTreeMap::new()],
-            pairs: 0,
-            stop: StopRecord { status: StopStatus::Success, reason: String::new() },
-        }
-    }
-
-    fn count(&mut self, rows: &[LedgerRow; 2]) {
-        self.exposures += 1;
-        for (index, row) in rows.iter().enumerate() {
-            match row.state {
-                RowState::Recorded { .. } => self.recorded[index] += 1,
-                RowState::Unrecorded => {}
-                RowState::Lost(loss) => *self.lost[index].entry(loss).or_default() += 1,
-            }
-        }
-        let all = rows.iter().all(|row| matches!(row.state, RowState::Recorded { .. }));
-        self.pairs += u64::from(all && rows[0].pair == PairState::Paired);
-    }
-}
-
-/// Marks every frame of a group as lost.
-fn lose(group: &mut [Pending], loss: Loss) {
-    lose_beyond(group, [0; 2], loss);
-}
-
-/// Marks the frames at `pages` and behind as lost, and those that have no page yet.
-fn lose_beyond(group: &mut [Pending], pages: [u64; 2], loss: Loss) {
-    for Pending { rows, frames } in group {
-        for ((row, frame), pages) in rows.iter_mut().zip(frames.iter_mut()).zip(pages) {
-            let is_there = matches!(row.state, RowState::Recorded { page, .. } if page < pages);
-            if frame.take().is_some() && !is_there {
-                row.state = RowState::Lost(loss);
-            }
-        }
     }
 }
 

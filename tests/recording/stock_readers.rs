@@ -11,13 +11,20 @@ const PYTHON: &str = "SOFISCOPE_TEST_PYTHON";
 /// Prints a line per image: path, number of frames, wrong frames. Skipped formats print `skipped`.
 const SCRIPT: &str = r#"
 import sys, numpy as np
+tables = {}
+def table(n):
+    # state after i steps is factor[i] * seed + term[i], modulo 2 ** 64
+    if n not in tables:
+        factor, term, m = [1], [0], (1 << 64) - 1
+        for _ in range(n):
+            factor.append(factor[-1] * 6364136223846793005 & m)
+            term.append((term[-1] * 6364136223846793005 + 1442695040888963407) & m)
+        tables[n] = np.array(factor[1:], np.uint64), np.array(term[1:], np.uint64)
+    return tables[n]
 def pixels(channel, exposure, n):
-    m = (1 << 64) - 1
-    state = ((exposure * 2 + channel + 1) * 0x9e3779b97f4a7c15) & m
-    out = np.empty(n, np.uint16)
-    for i in range(n):
-        state = (state * 6364136223846793005 + 1442695040888963407) & m
-        out[i] = state >> 48
+    factor, term = table(n)
+    seed = np.uint64((exposure * 2 + channel + 1) * 0x9e3779b97f4a7c15 & (1 << 64) - 1)
+    out = ((factor * seed + term) >> np.uint64(48)).astype(np.uint16)
     out[0], out[1], out[2] = channel + 1, exposure & 0xffff, exposure >> 16
     return out
 def check(path, frames, channel):
