@@ -9,7 +9,7 @@ fn main() -> ExitCode {
     let filter = EnvFilter::try_from_env("SOFISCOPE_LOG").unwrap_or_else(|_| EnvFilter::new("warn"));
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     match run(Arguments::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => ExitCode::from(code),
         Err(error) => {
             eprintln!("sofiscope: {error}");
             ExitCode::from(error.exit_code())

@@ -6,7 +6,7 @@ use super::live_path::{PathOptions, reason_text};
 use super::session::acquire;
 use super::simulated;
 use crate::acquisition::{LeaveOut, Patience};
-use crate::config::{AnalysisSettings, RawAnalysis};
+use crate::config::{AnalysisSettings, RawAnalysis, TriggerKind};
 use crate::control::plan::RecordingFormat;
 use serde::Serialize;
 use sofiscope_sim::instrument::Pace;
@@ -67,7 +67,7 @@ impl LiveArguments {
 /// [`AppError`] for sizes and rates that make no sense, and defects.
 pub(super) fn run(arguments: &LiveArguments, order: usize, json: bool) -> Result<(), AppError> {
     let side = arguments.live.unwrap_or(2048);
-    if !(64..=8192).contains(&side) || !(arguments.rate.is_finite() && arguments.rate > 0.0) {
+    if !((64..=8192).contains(&side) && arguments.rate.is_finite() && arguments.rate > 0.0) {
         return Err(AppError::usage("choose 64 to 8192 pixels per side and a rate above 0"));
     }
     eprintln!(
@@ -103,7 +103,7 @@ fn measure(side: u32, arguments: &LiveArguments, order: usize) -> Result<LiveMea
     let prepared = prepared(side, arguments.pairs, order)?;
     let simulation =
         InstrumentSettings { pace: Pace::RealTime { speed: 1.0 }, ..InstrumentSettings::default() };
-    let rig = simulated::rig(Source::Film(Arc::new(film)), simulation);
+    let rig = simulated::rig(Source::Film(Arc::new(film)), simulation, TriggerKind::Simulated);
     let recording = arguments.record.as_ref().map(|_| RecordingFormat::OmeTiff);
     let options = PathOptions {
         analysis: Some(prepared),

@@ -17,6 +17,12 @@ enum Command {
     Analyze(Box<super::analyze::AnalyzeArguments>),
     /// Play the simulated microscope through the whole analysis and score it against the truth
     Demo(super::demo::DemoArguments),
+    /// Carry out a plan: acquire, record and analyze live
+    Run(super::run::RunArguments),
+    /// Write a recording in the other format
+    Export(super::keeping::ExportArguments),
+    /// Make a recording whole after a crash
+    Recover(super::keeping::RecoverArguments),
     /// Measure pairs per second beside this machine's memory bandwidth
     Bench(super::bench::BenchArguments),
     /// Write the frames of both cameras looking at a simulated scene, and the ground truth
@@ -27,17 +33,21 @@ enum Command {
     Check(super::check::CheckArguments),
 }
 
-/// Runs the command that the arguments name.
+/// Runs the command that the arguments name; returns the exit code.
 ///
 /// # Errors
 /// [`AppError`] with the message and exit code of whatever ended the command early.
-pub fn run(arguments: Arguments) -> Result<(), AppError> {
-    match arguments.command {
+pub fn run(arguments: Arguments) -> Result<u8, AppError> {
+    let done = match arguments.command {
         Command::Analyze(arguments) => super::analyze::run(&arguments),
         Command::Demo(arguments) => super::demo::run(&arguments),
+        Command::Run(arguments) => super::run::run(&arguments),
+        Command::Export(arguments) => super::keeping::run_export(&arguments),
+        Command::Recover(arguments) => return super::keeping::run_recover(&arguments),
         Command::Bench(arguments) => super::bench::run(&arguments),
         Command::Simulate(arguments) => super::simulate::run(&arguments),
         Command::Score(arguments) => super::score::run(&arguments),
         Command::Check(arguments) => super::check::run(&arguments),
-    }
+    };
+    done.map(|()| 0)
 }

@@ -112,7 +112,9 @@ pub(super) enum PathFailure {
 
 /// How a run ended.
 #[derive(Debug)]
-pub(super) struct RunReport {
+pub(super) struct RunReport<P> {
+    /// The last picture of the preview.
+    pub(super) picture: Option<Arc<P>>,
     /// The books.
     pub(super) dispatch: DispatchReport,
     /// The analysis, unless there was none or it failed.
@@ -204,11 +206,6 @@ impl<P: Send + Sync + 'static> DataPath<P> {
         self.progress.look().clone()
     }
 
-    /// The newest picture.
-    pub(super) fn picture(&mut self) -> Shown<P> {
-        self.pictures.look().clone()
-    }
-
     /// Whether both cameras have said all they had to say and every exposure is resolved.
     pub(super) fn cameras_are_done(&self) -> bool {
         self.grabbers.iter().all(Stage::is_finished) && self.dispatch.is_finished()
@@ -256,7 +253,7 @@ impl<P: Send + Sync + 'static> DataPath<P> {
     }
 
     /// Waits until everything that came is worked on.
-    pub(super) fn join(self) -> RunReport {
+    pub(super) fn join(mut self) -> RunReport<P> {
         let (mut camera_failures, mut defects) = (Vec::new(), Vec::new());
         let newest = self.status.iter().map(|status| status.last_frame_ns.load(Ordering::Relaxed)).max();
         let seconds = HostTime(newest.unwrap_or_default()).since(self.begin).as_secs_f64();
@@ -289,8 +286,9 @@ impl<P: Send + Sync + 'static> DataPath<P> {
                 PreviewReport::default()
             })
         });
+        let picture = self.pictures.look().picture.clone();
         let recording = self.recorder.and_then(|stage| stage.join().map_err(|p| note(p.to_string())).ok());
-        RunReport { dispatch, analysis, preview, recording, camera_failures, defects, seconds }
+        RunReport { picture, dispatch, analysis, preview, recording, camera_failures, defects, seconds }
     }
 }
 
@@ -391,6 +389,7 @@ fn pair<T>(both: Vec<T>) -> [T; 2] {
     }
 }
 
+#[expect(clippy::needless_pass_by_value, reason = "it is handed to map_err")]
 fn no_thread(error: std::io::Error) -> AppError {
     AppError::Device(format!("no thread could be started ({error}); close other programs and try again"))
 }

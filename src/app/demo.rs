@@ -4,14 +4,14 @@ use super::AppError;
 use super::analysis::{self, Analysis, Prepared};
 use super::live_path::PathOptions;
 use super::results::{Scores, species_names};
+use super::run::{free_name, species_of};
 use super::score::{Images, Score, Stage, StageImages, score_images, text};
-use super::session::{Ended, acquire, analysis_of, write};
+use super::session::{Ended, acquire, analysis_of, write, write_preview};
 use super::simulated;
 use crate::acquisition::LeaveOut;
-use crate::config::{AnalysisSettings, RawAnalysis};
+use crate::config::{AnalysisSettings, RawAnalysis, TriggerKind};
 use crate::control::plan::RecordingFormat;
 use crate::report::{Crosstalk, CrosstalkReference, Resolution, ResolutionValue};
-use crate::sofi::spectra::{Species, SpectralResponse};
 use serde::Serialize;
 use sofiscope_sim::instrument::Pace;
 use sofiscope_sim::{InstrumentSettings, Scene, Source, World};
@@ -59,7 +59,7 @@ struct Scored {
 /// [`AppError`]: a scene that cannot be used, an output that exists, a full disk.
 pub(super) fn run(arguments: &DemoArguments) -> Result<(), AppError> {
     let world = Arc::new(World::new(&scene(arguments)?, arguments.seed));
-    let out = out_path(arguments);
+    let out = arguments.out.clone().unwrap_or_else(|| free_name("sofiscope-demo"));
     eprintln!("simulated microscope: {} seen by two cameras; no hardware is involved", world.scene().name());
     let prepared = Prepared::new(settings()?, source(&world)?)?;
     let pace = if arguments.speed > 0.0 && arguments.speed.is_finite() {
@@ -68,7 +68,7 @@ pub(super) fn run(arguments: &DemoArguments) -> Result<(), AppError> {
         Pace::Unpaced
     };
     let simulation = InstrumentSettings { pace, ..InstrumentSettings::default() };
-    let rig = simulated::rig(Source::World(Arc::clone(&world)), simulation);
+    let rig = simulated::rig(Source::World(Arc::clone(&world)), simulation, TriggerKind::Simulated);
     let options = PathOptions {
         analysis: Some(prepared.clone()),
         preview_every: Some(Duration::from_millis(250)),
@@ -88,6 +88,7 @@ pub(super) fn run(arguments: &DemoArguments) -> Result<(), AppError> {
     }
     let mut ended = acquired.ended(true);
     let series = acquired.results.first_mut().ok_or_else(|| AppError::data("the demo made no series"))?;
+    write_preview(series, &out)?;
     let analysis = analysis_of(series, prepared)?;
     let score = score(&world, &analysis)?;
     let (results, summary) = write(&analysis, &out.join("results"), Some(scores(&score)))?;
@@ -110,27 +111,12 @@ fn scene(arguments: &DemoArguments) -> Result<Scene, AppError> {
     }
 }
 
-/// The directory asked for, or the first of `sofiscope-demo`, `sofiscope-demo-2`, … that is free.
-fn out_path(arguments: &DemoArguments) -> PathBuf {
-    let name = |number: u32| match number {
-        1 => PathBuf::from("sofiscope-demo"),
-        more => PathBuf::from(format!("sofiscope-demo-{more}")),
-    };
-    let free = || (1..).map(name).find(|path| !path.exists());
-    arguments.out.clone().or_else(free).unwrap_or_else(|| name(1))
-}
-
 fn settings() -> Result<AnalysisSettings, AppError> {
     AnalysisSettings::try_from(RawAnalysis::default()).map_err(AppError::usage)
 }
 
 fn source(world: &World) -> Result<analysis::Source, AppError> {
     let scene = world.scene();
-    let species = |truth: &sofiscope_sim::SpeciesTruth| {
-        let response = SpectralResponse::measured(truth.transmission, truth.reflection);
-        let response = response.map_err(AppError::usage)?;
-        Ok(Species { name: truth.name.clone(), response, emission_nm: Some(truth.emission_nm) })
-    };
     let input = |role: &str| (role.to_owned(), format!("simulated: {}", scene.name()), "uint16".to_owned());
     Ok(analysis::Source {
         inputs: vec![input("camera R"), input("camera T")],
@@ -140,7 +126,7 @@ fn source(world: &World) -> Result<analysis::Source, AppError> {
         pixel_pitch_nm: Some(scene.optics().pixel_pitch_nm),
         exposure_ms: Some(scene.exposure_ms()),
         simulated: true,
-        species: Some(world.truth().species.iter().map(species).collect::<Result<_, AppError>>()?),
+        species: Some(species_of(world)?),
     })
 }
 

@@ -11,7 +11,6 @@ use crate::acquisition::{LeaveOut, Patience, Progress};
 use crate::control::contracts::{self, ArmedCamera, DataPathError, Drain, PathProgress, StopRecord};
 use crate::control::plan::{AcquisitionEvent, RecordingFormat};
 use crate::control::run_state::FinishReason;
-use crate::reconstruction::Shown;
 use crate::recording::{
     self, CameraDescription, Format, Recording, RecordingPlan, RecordingSummary, StopStatus,
 };
@@ -50,11 +49,9 @@ pub(super) struct PathOptions {
 #[derive(Debug)]
 pub(super) struct SeriesResult {
     /// Books, analysis, preview.
-    pub(super) report: RunReport,
+    pub(super) report: RunReport<PreviewPicture>,
     /// The recording, closed.
     pub(super) recording: Option<RecordingSummary>,
-    /// What the cameras did.
-    pub(super) settings: CameraSettings,
 }
 
 /// The data path of a run.
@@ -70,7 +67,7 @@ struct Series {
     wanted: Option<u64>,
     settings: CameraSettings,
     running: Option<DataPath<PreviewPicture>>,
-    report: Option<RunReport>,
+    report: Option<RunReport<PreviewPicture>>,
     closed: Option<RecordingSummary>,
     last: Progress,
     told_failure: bool,
@@ -80,14 +77,6 @@ impl LivePath {
     /// A path that waits for its first series.
     pub(super) fn new(options: PathOptions) -> Self {
         Self { options, series: None, results: Vec::new() }
-    }
-
-    /// What is shown of the series under way.
-    pub(super) fn shown(&mut self) -> (Progress, Shown<PreviewPicture>) {
-        let Some(Series { running: Some(running), .. }) = &mut self.series else {
-            return (Progress::default(), Shown::default());
-        };
-        (running.progress(), running.picture())
     }
 
     fn analysis_part(
@@ -238,7 +227,7 @@ impl contracts::DataPath for LivePath {
                 Err(error) => outcome = Err(recording_error(&error)),
             }
         }
-        self.results.push(SeriesResult { report, recording: series.closed, settings: series.settings });
+        self.results.push(SeriesResult { report, recording: series.closed });
         outcome
     }
 }

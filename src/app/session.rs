@@ -13,6 +13,7 @@ use crate::control::contracts::{Clock, StopRecord};
 use crate::control::plan::AcquisitionEvent;
 use crate::control::run_state::FinishReason;
 use crate::control::sequencer::{Begin, Command, Devices, Patience, Sequencer, Status};
+use crate::display::PngNotes;
 use crate::files::OutputDirectory;
 use serde::Serialize;
 use sofiscope_hal::HostTime;
@@ -103,19 +104,19 @@ pub(super) fn acquire(
 static INTERRUPTS: OnceLock<std::sync::Mutex<Option<crossbeam_channel::Sender<Command>>>> = OnceLock::new();
 
 /// While this is held, Ctrl-C is a command to the sequencer; afterwards it ends the program again.
-struct Listening(crossbeam_channel::Sender<Command>);
+struct Listening;
 
 fn listen_for_interrupts(sender: crossbeam_channel::Sender<Command>) -> Result<Listening, AppError> {
     let slot = INTERRUPTS.get_or_init(Default::default);
     let is_first = {
         let mut slot = slot.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        slot.replace(sender.clone()).is_none()
+        slot.replace(sender).is_none()
     };
     static HANDLER: OnceLock<Result<(), String>> = OnceLock::new();
     let handler = HANDLER.get_or_init(|| ctrlc::set_handler(interrupted).map_err(|error| error.to_string()));
     debug_assert!(is_first, "one session at a time");
     match handler {
-        Ok(()) => Ok(Listening(sender)),
+        Ok(()) => Ok(Listening),
         Err(error) => Err(AppError::Device(format!("Ctrl-C cannot be heard: {error}"))),
     }
 }
@@ -129,8 +130,13 @@ fn interrupted() {
             let _ = sender.try_send(Command::Interrupt);
         }
         // 128 + SIGINT, as shells expect of a program that nobody asked to stay.
-        None => std::process::exit(130),
+        None => end_program(),
     }
+}
+
+#[expect(clippy::exit, reason = "Ctrl-C with nothing under way ends the program, as without a handler")]
+fn end_program() {
+    std::process::exit(130);
 }
 
 impl Drop for Listening {
@@ -224,6 +230,27 @@ fn loss_warnings(result: &SeriesResult) -> Vec<String> {
         warnings.push(format!("The books do not balance, which is a defect of the program: {law}."));
     }
     warnings
+}
+
+/// Writes the last picture of the preview, as the operator saw it, into the directory of the run.
+///
+/// # Errors
+/// [`AppError`] when the disk says no.
+pub(super) fn write_preview(result: &SeriesResult, directory: &Path) -> Result<(), AppError> {
+    let Some(picture) = &result.report.picture else { return Ok(()) };
+    match &picture.image {
+        Ok(image) => {
+            let notes = PngNotes {
+                title: Some(format!("preview: {}", picture.label)),
+                pixel_pitch_nm: Some(picture.pixel_pitch_nm),
+            };
+            image.write_png(&directory.join("preview.png"), &notes).map_err(AppError::data)
+        }
+        Err(reason) => {
+            tracing::warn!(%reason, "the last preview has no picture");
+            Ok(())
+        }
+    }
 }
 
 /// Writes the results of an analysis into a directory that must not exist yet.

@@ -1,13 +1,14 @@
 //! The simulated instrument as a rig for the sequencer; chosen by name in the configuration, never as a fallback.
 
 use crate::acquisition::Patience;
-use crate::control::contracts::NoLasers;
+use crate::config::TriggerKind;
+use crate::control::contracts::Illumination;
 use crate::control::plan::{AcquisitionEvent, CameraWish, Duties, OnRecordDrop, Readback, RecordingFormat};
 use crate::control::sequencer::{CameraStation, Devices};
 use crate::control::stop_rule::StopRule;
-use sofiscope_hal::{Camera, CameraIdentity, Channel, Region};
+use sofiscope_hal::{Camera, CameraIdentity, Channel, DeviceError, Region, TriggerSource};
 use sofiscope_sim::instrument::Pace;
-use sofiscope_sim::{InstrumentSettings, Oracle, SimulatedInstrument, Source};
+use sofiscope_sim::{InstrumentSettings, SimulatedInstrument, Source};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -15,23 +16,51 @@ use std::time::Duration;
 pub(super) struct Rig {
     pub(super) devices: Devices,
     pub(super) identities: [CameraIdentity; 2],
-    /// Knows what the simulated cameras did.
-    pub(super) oracle: Oracle,
+    /// Columns and rows of the sensors.
+    pub(super) sensors: [(u32, u32); 2],
+    pub(super) shortest_periods: [Duration; 2],
+    pub(super) saturation_counts: [u16; 2],
+}
+
+/// Lasers that light nothing; the simulated sample shines by itself.
+#[derive(Debug, Clone, Copy)]
+struct SimulatedLasers;
+
+impl Illumination for SimulatedLasers {
+    fn on(&mut self, power_mw: &BTreeMap<u32, f64>) -> Result<(), DeviceError> {
+        tracing::info!(?power_mw, "simulated lasers on");
+        Ok(())
+    }
+
+    fn off(&mut self) -> Result<(), DeviceError> {
+        tracing::info!("simulated lasers off");
+        Ok(())
+    }
 }
 
 /// Both simulated cameras and their trigger in front of a source.
-pub(super) fn rig(source: Source, settings: InstrumentSettings) -> Rig {
+pub(super) fn rig(source: Source, settings: InstrumentSettings, trigger: TriggerKind) -> Rig {
     let instrument = SimulatedInstrument::new(source, settings);
     let cameras = instrument.cameras();
     let identities = cameras.each_ref().map(|camera| camera.identity().clone());
+    let capabilities = cameras.each_ref().map(|camera| camera.capabilities().clone());
     let stations = Channel::BOTH.into_iter().zip(cameras).map(|(channel, camera)| {
         let (width, height) = (camera.capabilities().sensor_width, camera.capabilities().sensor_height);
         let region = Region { left: 0, top: 0, width, height };
         CameraStation { channel, camera: Box::new(camera), region }
     });
-    let trigger = Box::new(instrument.trigger());
-    let devices = Devices::new(stations.collect(), Some(trigger), Box::new(NoLasers), None);
-    Rig { devices, identities, oracle: instrument.oracle() }
+    let trigger: Option<Box<dyn TriggerSource>> = match trigger {
+        TriggerKind::Simulated => Some(Box::new(instrument.trigger())),
+        TriggerKind::FreeRunning => None,
+    };
+    let devices = Devices::new(stations.collect(), trigger, Box::new(SimulatedLasers), None);
+    Rig {
+        devices,
+        identities,
+        sensors: capabilities.each_ref().map(|camera| (camera.sensor_width, camera.sensor_height)),
+        shortest_periods: capabilities.each_ref().map(|camera| camera.shortest_period),
+        saturation_counts: capabilities.each_ref().map(|camera| camera.saturation_counts),
+    }
 }
 
 /// Cameras without a clock wait; those with one do not.

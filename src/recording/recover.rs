@@ -17,13 +17,15 @@ use super::metadata::Metadata;
 use super::reader::{ImagePages, checksum};
 use super::tiff_pages::{FrameSize, TiffPages};
 use crate::acquisition::LedgerRow;
+use serde::Serialize;
 use sofiscope_hal::Channel;
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 /// What recovery came to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Outcome {
     /// Nothing was to be done and nothing was changed.
     Sound,
@@ -34,7 +36,7 @@ pub enum Outcome {
 }
 
 /// What recovery found and did.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct RecoverReport {
     /// What it came to.
     pub outcome: Outcome,
@@ -50,6 +52,26 @@ pub struct RecoverReport {
     pub rows_changed: u64,
     /// Bytes at the end of the ledger that were no row.
     pub torn_bytes: u64,
+}
+
+impl std::fmt::Display for RecoverReport {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let outcome = match self.outcome {
+            Outcome::Sound => "nothing to do",
+            Outcome::Repaired => "repaired",
+            Outcome::Damaged => "damaged",
+        };
+        let ([r, t], [r_cut, t_cut]) = (self.frames, self.frames_cut);
+        write!(formatter, "{outcome}: {r} frames of camera R and {t} of camera T")?;
+        write!(formatter, ", {} rows added, {} corrected", self.rows_added, self.rows_changed)?;
+        if r_cut + t_cut > 0 {
+            write!(formatter, ", {} frames that never reached the disk left out", r_cut + t_cut)?;
+        }
+        for (channel, page) in &self.damaged {
+            write!(formatter, "\n  frame {page} of {channel} is not what was recorded")?;
+        }
+        Ok(())
+    }
 }
 
 impl RecoverReport {
