@@ -1,0 +1,304 @@
+//! Fourier ring correlation: up to which spatial frequency do two independent images agree?
+//!
+//! In: two images of one sample with independent noise, as from odd and even subsequences.
+//! Out: [`FourierRingCorrelation`]. Never: takes the edge of the image for structure.
+//! Fails: `None` for images that differ in shape, are too small or hold nothing.
+//!
+//! `FRC(q) = Re sum F_1 F_2* / sqrt(sum |F_1|^2 sum |F_2|^2)`, sums over the ring of frequency `q`
+//! (Saxton and Baumeister 1982; van Heel 1987); the resolution is `1 / q` where the smoothed curve first
+//! falls below 1/7 (Rosenthal and Henderson 2003; Nieuwenhuizen et al., Nature Methods 10, 557, 2013).
+//! Noise that repeats from half to half, as that of a pixel with a gain of its own, counts as structure.
+
+use ndarray::{Array2, ArrayRef2, s};
+use rustfft::{FftPlanner, num_complex::Complex32};
+
+/// Correlation at which the resolution is read.
+pub const THRESHOLD: f64 = 1.0 / 7.0;
+
+/// Images with shorter sides tell nothing.
+const SHORTEST_SIDE: usize = 16;
+
+/// A line at the border with a larger share of missing pixels is cut off.
+const MOST_MISSING: f64 = 0.1;
+
+/// Rings to either side that are averaged into the smoothed curve, as a share of all.
+const SMOOTHING: f64 = 0.02;
+
+/// Rings must agree by this many standard deviations of chance.
+const CLEARLY: f64 = 3.0;
+
+/// Agreement of two images, ring by ring.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FourierRingCorrelation {
+    /// Correlation of ring `r`, whose frequency is `r * frequency_step`; ring 0 is the mean and holds 1.
+    pub curve: Vec<f64>,
+    /// The same, averaged over neighboring rings by their number of frequencies.
+    pub smoothed: Vec<f64>,
+    /// Frequency from ring to ring, per pixel of the images.
+    pub frequency_step: f64,
+    /// Pixels of the images per period of the finest detail both agree on; `None` when nothing agrees,
+    /// or everything does.
+    pub resolution_px: Option<f64>,
+}
+
+impl FourierRingCorrelation {
+    /// Smoothed correlation at a frequency, cycles per pixel; `None` beyond the curve.
+    #[must_use]
+    pub fn at(&self, frequency: f64) -> Option<f64> {
+        let place = frequency / self.frequency_step;
+        let ring = place.floor() as usize;
+        let (low, high) = (self.smoothed.get(ring)?, self.smoothed.get(ring + 1)?);
+        Some(low + (high - low) * place.fract())
+    }
+}
+
+/// Correlates two images of equal shape ring by ring.
+///
+/// Lines at the border that miss more than a tenth of their pixels are cut off, and some more so that the
+/// transform is quick; single missing (NaN) pixels take the mean.
+#[must_use]
+pub fn fourier_ring_correlation(
+    first: &ArrayRef2<f32>,
+    second: &ArrayRef2<f32>,
+) -> Option<FourierRingCorrelation> {
+    if first.dim() != second.dim() {
+        return None;
+    }
+    let (rows, columns) = valid_rectangle(first);
+    let (rows, columns) = (quick_part(rows), quick_part(columns));
+    if rows.len().min(columns.len()) < SHORTEST_SIDE {
+        return None;
+    }
+    let part = |image: &ArrayRef2<f32>| windowed(&image.slice(s![rows.clone(), columns.clone()]));
+    let (first, second) = (part(first)?, part(second)?);
+    Some(correlate_rings(&first, &second))
+}
+
+/// Rows and columns that are left when lines with many missing pixels are cut off the border.
+fn valid_rectangle(image: &ArrayRef2<f32>) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
+    let (mut rows, mut columns) = (0..image.nrows(), 0..image.ncols());
+    while !rows.is_empty() && !columns.is_empty() {
+        let row = |y: usize| missing(image.slice(s![y, columns.clone()]).iter());
+        let column = |x: usize| missing(image.slice(s![rows.clone(), x]).iter());
+        let borders = [row(rows.start), row(rows.end - 1), column(columns.start), column(columns.end - 1)];
+        let worst = (0..4).max_by(|&a, &b| borders[a].total_cmp(&borders[b])).unwrap_or(0);
+        if borders[worst] <= MOST_MISSING {
+            break;
+        }
+        match worst {
+            0 => rows.start += 1,
+            1 => rows.end -= 1,
+            2 => columns.start += 1,
+            _ => columns.end -= 1,
+        }
+    }
+    (rows, columns)
+}
+
+fn missing<'a>(pixels: impl ExactSizeIterator<Item = &'a f32>) -> f64 {
+    let count = pixels.len() as f64;
+    pixels.filter(|value| !value.is_finite()).count() as f64 / count
+}
+
+/// The largest central part whose length has no prime factor above 7.
+fn quick_part(range: std::ops::Range<usize>) -> std::ops::Range<usize> {
+    let is_quick = |length: usize| {
+        let rest = [2, 3, 5, 7].into_iter().fold(length, |mut rest, prime| {
+            while rest > 0 && rest.is_multiple_of(prime) {
+                rest /= prime;
+            }
+            rest
+        });
+        rest == 1
+    };
+    let length = (1..=range.len()).rev().find(|&length| is_quick(length)).unwrap_or(0);
+    let start = range.start + (range.len() - length) / 2;
+    start..start + length
+}
+
+/// The image about its mean, in units of its standard deviation, falling to zero at the edges.
+fn windowed(image: &ArrayRef2<f32>) -> Option<Array2<f32>> {
+    let finite = || image.iter().filter(|value| value.is_finite()).map(|&value| f64::from(value));
+    let count = finite().count() as f64;
+    let mean = finite().sum::<f64>() / count;
+    let deviation = (finite().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt();
+    if !(deviation.is_finite() && deviation > 0.0) {
+        return None;
+    }
+    let (vertical, horizontal) = (hann(image.nrows()), hann(image.ncols()));
+    Some(Array2::from_shape_fn(image.dim(), |(y, x)| {
+        let value = f64::from(image[[y, x]]);
+        let value = if value.is_finite() { (value - mean) / deviation } else { 0.0 };
+        (value * vertical[y] * horizontal[x]) as f32
+    }))
+}
+
+/// The window of Hann, `sin^2`: images have steep spectra, and what flatter windows leak over from coarse structure
+/// is the same in both halves and would pass for agreement on fine structure.
+fn hann(length: usize) -> Vec<f64> {
+    (0..length).map(|i| (std::f64::consts::PI * (i as f64 + 0.5) / length as f64).sin().powi(2)).collect()
+}
+
+fn correlate_rings(first: &Array2<f32>, second: &Array2<f32>) -> FourierRingCorrelation {
+    let (height, width) = first.dim();
+    let spectrum = transform_both(first, second);
+    let side = height.min(width);
+    let rings = side / 2 + 1;
+    let (mut cross, mut powers) = (vec![0.0; rings], vec![[0.0; 2]; rings]);
+    let mut counts = vec![0.0; rings];
+    for y in 0..height {
+        let vertical = signed_frequency(y, height);
+        // The other half plane holds the complex conjugates of this one.
+        for x in 0..=width / 2 {
+            let ring = (vertical.hypot(signed_frequency(x, width)) * side as f64).round() as usize;
+            if ring >= rings {
+                continue;
+            }
+            // One transform held both images, as real and as imaginary part.
+            let (here, mirrored) =
+                (spectrum[[y, x]], spectrum[[(height - y) % height, (width - x) % width]].conj());
+            let (a, b) = ((here + mirrored) * 0.5, (here - mirrored) * Complex32::new(0.0, -0.5));
+            cross[ring] += f64::from((a * b.conj()).re);
+            powers[ring][0] += f64::from(a.norm_sqr());
+            powers[ring][1] += f64::from(b.norm_sqr());
+            counts[ring] += 1.0;
+        }
+    }
+    let mut curve: Vec<f64> = cross
+        .iter()
+        .zip(&powers)
+        .map(|(cross, [first, second])| {
+            let both = (first * second).sqrt();
+            if both > 0.0 { cross / both } else { 0.0 }
+        })
+        .collect();
+    curve[0] = 1.0;
+    let smoothed = smooth(&curve, &counts);
+    let frequency_step = 1.0 / side as f64;
+    let agrees = |ring: &f64| more_than_chance(&curve, &counts, *ring);
+    let resolution_px = crossing(&smoothed).filter(agrees).map(|ring| 1.0 / (ring * frequency_step));
+    FourierRingCorrelation { curve, smoothed, frequency_step, resolution_px }
+}
+
+fn signed_frequency(index: usize, length: usize) -> f64 {
+    let index = if index > length / 2 { index as f64 - length as f64 } else { index as f64 };
+    index / length as f64
+}
+
+/// Transforms `first + i second`.
+fn transform_both(first: &Array2<f32>, second: &Array2<f32>) -> Array2<Complex32> {
+    let (height, width) = first.dim();
+    let mut rows: Vec<Complex32> =
+        first.iter().zip(second).map(|(&first, &second)| Complex32::new(first, second)).collect();
+    let mut planner = FftPlanner::new();
+    planner.plan_fft_forward(width).process(&mut rows);
+    let rows = Array2::from_shape_fn((width, height), |(x, y)| rows[y * width + x]);
+    let mut columns = rows.into_raw_vec_and_offset().0;
+    planner.plan_fft_forward(height).process(&mut columns);
+    Array2::from_shape_fn((height, width), |(y, x)| columns[x * height + y])
+}
+
+/// Averages over neighboring rings; the mean image, ring 0, stays out.
+fn smooth(curve: &[f64], counts: &[f64]) -> Vec<f64> {
+    let reach = ((curve.len() as f64 * SMOOTHING).round() as usize).max(1);
+    let average = |ring: usize| {
+        if ring == 0 {
+            return curve[0];
+        }
+        let rings = ring.saturating_sub(reach).max(1)..(ring + reach + 1).min(curve.len());
+        let weight: f64 = rings.clone().map(|ring| counts[ring]).sum();
+        rings.map(|ring| curve[ring] * counts[ring]).sum::<f64>() / weight.max(1.0)
+    };
+    (0..curve.len()).map(average).collect()
+}
+
+/// The first ring, as a broken number, where the curve falls below the threshold; `None` if it never does.
+fn crossing(smoothed: &[f64]) -> Option<f64> {
+    let below = smoothed.iter().skip(1).position(|&value| value < THRESHOLD)? + 1;
+    if below < 3 {
+        return None;
+    }
+    let (before, after) = (smoothed[below - 1], smoothed[below]);
+    Some(below as f64 - 1.0 + (before - THRESHOLD) / (before - after))
+}
+
+/// Whether the rings up to the crossing agree more than independent noise would: the correlation of `k`
+/// frequencies of a half plane has a standard deviation of `1 / sqrt(2 k)` then, and the window makes four
+/// neighbors share what one would tell.
+fn more_than_chance(curve: &[f64], counts: &[f64], crossing: f64) -> bool {
+    let rings = 1..=crossing as usize;
+    let frequencies: f64 = rings.clone().map(|ring| counts[ring]).sum();
+    let agreement: f64 = rings.map(|ring| curve[ring] * counts[ring]).sum();
+    agreement > CLEARLY * (2.0 * frequencies).sqrt()
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    pub(in crate::sofi::quality) fn noise(side: usize, seed: u64) -> Array2<f32> {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
+        Array2::from_shape_simple_fn((side, side), || StandardNormal.sample(&mut random))
+    }
+
+    /// White noise without frequencies above a cutoff, cycles per pixel.
+    fn band_limited(side: usize, seed: u64, cutoff: f64) -> Array2<f32> {
+        let image = noise(side, seed);
+        let mut spectrum = transform_both(&image, &Array2::zeros(image.dim()));
+        for ((y, x), value) in spectrum.indexed_iter_mut() {
+            let frequency = signed_frequency(y, side).hypot(signed_frequency(x, side));
+            // Conjugated, so that transforming again is the way back.
+            *value = if frequency < cutoff { value.conj() } else { Complex32::ZERO };
+        }
+        let (real, imaginary) = (spectrum.mapv(|value| value.re), spectrum.mapv(|value| value.im));
+        let scale = 1.0 / (side * side) as f32;
+        transform_both(&real, &imaginary).mapv(|value| value.re * scale)
+    }
+
+    #[test]
+    fn the_bandwidth_of_images_is_found() {
+        for cutoff in [0.1, 0.2, 0.35] {
+            let image = band_limited(200, 1, cutoff);
+            let [first, second] = [2, 3].map(|seed| &image + &(noise(200, seed) * 0.1));
+            let frc = fourier_ring_correlation(&first, &second).unwrap();
+            let found = frc.resolution_px.unwrap();
+            assert!((found * cutoff - 1.0).abs() < 0.06, "{cutoff}: {found} px");
+        }
+    }
+
+    #[test]
+    fn more_noise_makes_the_resolution_worse() {
+        let image = band_limited(128, 1, 0.1) + band_limited(128, 4, 0.3) * 0.3;
+        let resolution = |noise_level: f32| {
+            let [first, second] = [2, 3].map(|seed| &image + &(noise(128, seed) * noise_level));
+            fourier_ring_correlation(&first, &second).unwrap().resolution_px.unwrap()
+        };
+        assert!(resolution(0.02) < 3.6 && resolution(1.0) > 8.0);
+    }
+
+    #[test]
+    fn independent_noise_and_equal_images_have_no_resolution() {
+        let (first, second) = (noise(96, 1), noise(96, 2));
+        assert_eq!(fourier_ring_correlation(&first, &second).unwrap().resolution_px, None);
+        assert_eq!(fourier_ring_correlation(&first, &first).unwrap().resolution_px, None);
+        assert_eq!(fourier_ring_correlation(&first, &noise(95, 2)), None);
+        assert_eq!(fourier_ring_correlation(&Array2::zeros((96, 96)), &first), None);
+    }
+
+    #[test]
+    fn missing_borders_and_single_pixels_change_little() {
+        let image = band_limited(200, 1, 0.2);
+        let [mut first, mut second] = [2, 3].map(|seed| &image + &(noise(200, seed) * 0.1));
+        for image in [&mut first, &mut second] {
+            image.slice_mut(s![..3, ..]).fill(f32::NAN);
+            image.slice_mut(s![.., 198..]).fill(f32::NAN);
+            image[[77, 30]] = f32::NAN;
+        }
+        assert_eq!(valid_rectangle(&first), (3..200, 0..198));
+        let found = fourier_ring_correlation(&first, &second).unwrap().resolution_px.unwrap();
+        assert!((found - 5.0).abs() < 0.3, "{found}");
+    }
+}
