@@ -55,12 +55,37 @@ fn numbers(values: &[Option<f64>]) -> Vec<f64> {
     values.iter().map(|value| value.unwrap()).collect()
 }
 
+/// The signal-to-noise of all images has grown by a factor, to 15 %.
+fn assert_growth(early: &Quality, late: &Quality, factor: f64) {
+    for (early, late) in [(&early.snr_channels, &late.snr_channels), (&early.snr_species, &late.snr_species)]
+    {
+        for (early, late) in numbers(early).into_iter().zip(numbers(late)) {
+            assert!((late / early / factor - 1.0).abs() < 0.15, "{early}, then {late}, not {factor} times");
+        }
+    }
+}
+
+#[test]
+fn without_bleaching_signal_to_noise_grows_with_the_square_root() {
+    let history = watched(&scene("figure-s4").replace("tau_bleach_s = 80.0", ""), 2000, 0, None);
+    let last = &history[19];
+    println!("{:?} {:?}", history[4].snr_species, last.snr_species);
+    assert_growth(&history[4], last, 2.0);
+    assert!(last.bleaching.iter().all(|bleaching| bleaching.is_none_or(|b| b.left > 0.8)), "{last:?}");
+}
+
 #[test]
 fn quality_of_three_filaments_grows_as_it_should() {
     let history = watched(&scene("figure-s4"), 2000, 0, Some(100.0 + 2.5 * 2.174));
     for quality in &history {
         let nm: Vec<_> = quality.resolution.iter().map(|resolution| resolution.nm).collect();
         println!("{} {:?} {nm:?}", quality.subsequences, quality.snr_species);
+    }
+    for k in [4, 19] {
+        for r in &history[k].resolution {
+            let c = r.curve.as_ref().unwrap();
+            println!("{k} {:?}", c.smoothed.iter().map(|v| (v * 100.0).round() as i32).collect::<Vec<_>>());
+        }
     }
     assert_eq!(history.len(), 20);
     assert_eq!((history[0].snr_channels[0], history[0].resolution[0].nm), (None, None));

@@ -15,10 +15,11 @@ use crate::sofi::cumulant::{
 };
 use crate::sofi::flattening::{Flattening, PsfWidth, flatten};
 use crate::sofi::quality::{
-    BinnedTrace, FourierRingCorrelation, LagCorrelation, LagCorrelator, Offset, RunningImage, fit_bleaching,
-    fourier_ring_correlation, subsequences_for_resolution, subsequences_for_signal_to_noise,
+    BinnedTrace, FourierRingCorrelation, LagCorrelation, LagCorrelator, Offset, RunningImage,
+    balance_sub_grids, fit_bleaching, fourier_ring_correlation, subsequences_for_resolution,
+    subsequences_for_signal_to_noise,
 };
-use crate::sofi::unmixing::{UnmixingError, UnmixingMatrix};
+use crate::sofi::unmixing::UnmixingMatrix;
 use ndarray::Array2;
 use serde::Serialize;
 use std::ops::Range;
@@ -106,10 +107,10 @@ pub struct Quality {
     pub exposures: u64,
     /// Exposures per subsequence.
     pub subsequence_exposures: u64,
-    /// Signal-to-noise per spectral channel: median over the brightest tenth of the pixels of mean over standard
-    /// error; noise alone gives about 1.6.
+    /// Signal-to-noise per spectral channel: median over the bright pixels of mean over standard error;
+    /// noise alone gives about 1.6.
     pub snr_channels: Vec<Option<f64>>,
-    /// The same per species; empty without dyes.
+    /// The same per species (bright: above half of the 99.5th percentile); empty without dyes.
     pub snr_species: Vec<Option<f64>>,
     /// Resolution by Fourier ring correlation per species, or per spectral channel without dyes.
     pub resolution: Vec<Resolution>,
@@ -130,6 +131,8 @@ pub struct Resolution {
     pub camera_px: Option<f64>,
     /// Nanometers, if the pixel pitch is known.
     pub nm: Option<f64>,
+    /// Whether both halves agree down to two fine pixels, so that the resolution is at least as good as it says.
+    pub is_pixel_limited: bool,
     /// The correlation, on the fine grid; left out of reports for its length.
     #[serde(skip)]
     pub curve: Option<FourierRingCorrelation>,
@@ -395,7 +398,6 @@ impl QualityMonitor {
             let kappa: Vec<_> = drawing.cumulants.iter().map(|image| image.view()).collect();
             match matrix.unmix(&kappa) {
                 Ok(images) => self.species.iter_mut().zip(&images).for_each(|(sums, image)| sums.push(image)),
-                Err(error @ UnmixingError::Images { .. }) => tracing::warn!(%error, "no quality per species"),
                 Err(error) => tracing::warn!(%error, "no quality per species"),
             }
         }
@@ -438,13 +440,16 @@ impl QualityMonitor {
         let order = self.settings.cumulants.order;
         let flat = flatten(image.mean(), &self.distances, Flattening::EqualMeans(PsfWidth::Estimated));
         let scales = flat.map_or_else(|_| Array2::ones((order, order)), |(_, report)| report.scales);
-        let [first, second] = image.halves().each_ref().map(|half| {
-            Array2::from_shape_fn(half.dim(), |(y, x)| half[[y, x]] * scales[[y % order, x % order]] as f32)
-        });
+        let [mut first, mut second] = image.halves().each_ref().map(|half| scaled(half, &scales));
+        if let Some(scales) = balance_sub_grids(&first, &second, order) {
+            (first, second) = (scaled(&first, &scales), scaled(&second, &scales));
+        }
         let curve = fourier_ring_correlation(&first, &second);
-        let camera_px = curve.as_ref().and_then(|curve| curve.resolution_px).map(|fine| fine / order as f64);
+        let is_pixel_limited = curve.as_ref().is_some_and(FourierRingCorrelation::reaches_limit);
+        let fine = curve.as_ref().and_then(|curve| curve.resolution_px);
+        let camera_px = fine.or(is_pixel_limited.then_some(2.0)).map(|fine| fine / order as f64);
         let nm = camera_px.zip(self.settings.pixel_pitch_nm).map(|(pixels, pitch)| pixels * pitch);
-        Resolution { camera_px, nm, curve }
+        Resolution { camera_px, nm, is_pixel_limited, curve }
     }
 
     fn bleaching(&self, channel: usize) -> Option<BleachingState> {
@@ -458,6 +463,12 @@ impl QualityMonitor {
             left: found.left,
         })
     }
+}
+
+/// Sub-grid by sub-grid times its factor.
+fn scaled(image: &Array2<f32>, scales: &Array2<f64>) -> Array2<f32> {
+    let (n, _) = scales.dim();
+    Array2::from_shape_fn(image.dim(), |(y, x)| image[[y, x]] * scales[[y % n, x % n]] as f32)
 }
 
 /// The middle of a side, at most this long.

@@ -27,6 +27,12 @@ const SMOOTHING: f64 = 0.02;
 /// Rings must agree by this many standard deviations of chance.
 const CLEARLY: f64 = 3.0;
 
+/// Longest side, pixels, of the part on which sub-grids are balanced.
+const BALANCED_SIDE: usize = 256;
+
+/// From this frequency on, cycles per pixel, all sub-grids together should hold next to nothing.
+const EMPTY_FROM: f64 = 0.4;
+
 /// Agreement of two images, ring by ring.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FourierRingCorrelation {
@@ -37,11 +43,17 @@ pub struct FourierRingCorrelation {
     /// Frequency from ring to ring, per pixel of the images.
     pub frequency_step: f64,
     /// Pixels of the images per period of the finest detail both agree on; `None` when nothing agrees,
-    /// or everything does.
+    /// or everything does, see [`reaches_limit`](Self::reaches_limit).
     pub resolution_px: Option<f64>,
 }
 
 impl FourierRingCorrelation {
+    /// Whether even details of two pixels agree, so that the pixels are the limit.
+    #[must_use]
+    pub fn reaches_limit(&self) -> bool {
+        self.smoothed.iter().all(|&value| value >= THRESHOLD)
+    }
+
     /// Smoothed correlation at a frequency, cycles per pixel; `None` beyond the curve.
     #[must_use]
     pub fn at(&self, frequency: f64) -> Option<f64> {
@@ -72,6 +84,79 @@ pub fn fourier_ring_correlation(
     let part = |image: &ArrayRef2<f32>| windowed(&image.slice(s![rows.clone(), columns.clone()]));
     let (first, second) = (part(first)?, part(second)?);
     Some(correlate_rings(&first, &second))
+}
+
+/// Factors that give the `order * order` interleaved sub-grids of an image equal weight, `(order, order)`, 1 at (0, 0).
+///
+/// What is left of unequal weights repeats the coarse structure around the corners of the spectrum, in both halves
+/// alike, and would pass for fine structure: a mismatch of one percent is enough where the signal is strong.
+/// The factors make the power that both halves share beyond [`EMPTY_FROM`] least (least squares, free of the noise
+/// of either half). `None` where that does not say what they are.
+#[must_use]
+pub fn balance_sub_grids(
+    first: &ArrayRef2<f32>,
+    second: &ArrayRef2<f32>,
+    order: usize,
+) -> Option<Array2<f64>> {
+    let (rows, columns) = valid_rectangle(first);
+    let part = |range: std::ops::Range<usize>| {
+        let length = range.len().min(BALANCED_SIDE);
+        let start = range.start + (range.len() - length) / 2;
+        quick_part(start..start + length)
+    };
+    let (rows, columns) = (part(rows), part(columns));
+    if rows.len().min(columns.len()) < SHORTEST_SIDE || first.dim() != second.dim() {
+        return None;
+    }
+    let (vertical, horizontal) = (hann(rows.len()), hann(columns.len()));
+    let spectra: Vec<Array2<Complex32>> = (0..order * order)
+        .map(|grid| {
+            let masked = |image: &ArrayRef2<f32>| {
+                Array2::from_shape_fn((rows.len(), columns.len()), |(y, x)| {
+                    let at = [rows.start + y, columns.start + x];
+                    let is_here = (at[0] % order) * order + at[1] % order == grid && image[at].is_finite();
+                    if is_here { image[at] * (vertical[y] * horizontal[x]) as f32 } else { 0.0 }
+                })
+            };
+            transform_both(&masked(first), &masked(second))
+        })
+        .collect();
+    let shared = shared_power(&spectra);
+    let others = order * order - 1;
+    let matrix = nalgebra::DMatrix::from_fn(others, others, |a, b| shared[(a + 1, b + 1)]);
+    let right = nalgebra::DVector::from_fn(others, |a, _| -shared[(a + 1, 0)]);
+    let factors = matrix.lu().solve(&right)?;
+    let all = std::iter::once(1.0).chain(factors.iter().copied());
+    let all: Vec<f64> = all.filter(|factor| (0.5..2.0).contains(factor)).collect();
+    Array2::from_shape_vec((order, order), all).ok()
+}
+
+/// Power beyond [`EMPTY_FROM`] that sub-grid `a` of one half shares with `b` of the other.
+fn shared_power(spectra: &[Array2<Complex32>]) -> nalgebra::DMatrix<f64> {
+    let (height, width) = spectra[0].dim();
+    let mut shared = nalgebra::DMatrix::zeros(spectra.len(), spectra.len());
+    for y in 0..height {
+        for x in 0..=width / 2 {
+            if signed_frequency(y, height).hypot(signed_frequency(x, width)) < EMPTY_FROM {
+                continue;
+            }
+            let halves: Vec<_> = spectra.iter().map(|spectrum| both_halves(spectrum, y, x)).collect();
+            for (a, (first, other)) in halves.iter().enumerate() {
+                for (b, (first_of_b, second)) in halves.iter().enumerate() {
+                    let power = (first * second.conj()).re + (first_of_b * other.conj()).re;
+                    shared[(a, b)] += f64::from(power);
+                }
+            }
+        }
+    }
+    shared
+}
+
+/// Both images' frequencies from one transform that held them as real and as imaginary part.
+fn both_halves(spectrum: &Array2<Complex32>, y: usize, x: usize) -> (Complex32, Complex32) {
+    let (height, width) = spectrum.dim();
+    let (here, mirrored) = (spectrum[[y, x]], spectrum[[(height - y) % height, (width - x) % width]].conj());
+    ((here + mirrored) * 0.5, (here - mirrored) * Complex32::new(0.0, -0.5))
 }
 
 /// Rows and columns that are left when lines with many missing pixels are cut off the border.
@@ -154,10 +239,7 @@ fn correlate_rings(first: &Array2<f32>, second: &Array2<f32>) -> FourierRingCorr
             if ring >= rings {
                 continue;
             }
-            // One transform held both images, as real and as imaginary part.
-            let (here, mirrored) =
-                (spectrum[[y, x]], spectrum[[(height - y) % height, (width - x) % width]].conj());
-            let (a, b) = ((here + mirrored) * 0.5, (here - mirrored) * Complex32::new(0.0, -0.5));
+            let (a, b) = both_halves(&spectrum, y, x);
             cross[ring] += f64::from((a * b.conj()).re);
             powers[ring][0] += f64::from(a.norm_sqr());
             powers[ring][1] += f64::from(b.norm_sqr());

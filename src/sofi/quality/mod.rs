@@ -19,6 +19,6 @@ mod signal;
 
 pub use bleaching::{BinnedTrace, Bleaching, Offset, fit_bleaching};
 pub use forecast::{subsequences_for_resolution, subsequences_for_signal_to_noise};
-pub use frc::{FourierRingCorrelation, THRESHOLD, fourier_ring_correlation};
+pub use frc::{FourierRingCorrelation, THRESHOLD, balance_sub_grids, fourier_ring_correlation};
 pub use lag::{LONGEST_LAG, LagCorrelation, LagCorrelator};
-pub use signal::{BRIGHT_SHARE, RunningImage, signal_to_noise};
+pub use signal::{BRIGHT_QUANTILE, RunningImage, signal_to_noise};

@@ -8,8 +8,9 @@
 
 use ndarray::{Array2, ArrayRef2, Zip};
 
-/// Pixels above this quantile of the mean image enter the signal-to-noise of the image: its brightest tenth.
-pub const BRIGHT_SHARE: f64 = 0.9;
+/// Pixels above half of this quantile of the mean image enter the signal-to-noise of the image: its structure,
+/// also where that is a small part of the image.
+pub const BRIGHT_QUANTILE: f64 = 0.995;
 
 /// Running sums of one image over subsequences; halves are the subsequences of even and of odd number.
 #[derive(Debug, Clone)]
@@ -64,14 +65,15 @@ impl RunningImage {
         &self.halves
     }
 
-    /// Median signal-to-noise of the brightest tenth of the pixels; see [`signal_to_noise`].
+    /// Median signal-to-noise of the bright pixels; see [`signal_to_noise`].
     #[must_use]
     pub fn signal_to_noise(&self) -> Option<f64> {
         signal_to_noise(&self.mean, &self.squares, self.count)
     }
 }
 
-/// Median of the signal-to-noise over the pixels whose mean lies above the quantile [`BRIGHT_SHARE`].
+/// Median of the signal-to-noise over the pixels whose mean lies above half of the quantile
+/// [`BRIGHT_QUANTILE`] of all means.
 ///
 /// `squares` are the sums of squared deviations of `count` images from their mean. With few images the standard
 /// error scatters, and the median of the quotient lies too high; the median of the chi-squared distribution,
@@ -87,15 +89,19 @@ pub fn signal_to_noise(mean: &ArrayRef2<f32>, squares: &ArrayRef2<f32>, count: u
         .filter(|(mean, squares)| mean.is_finite() && **squares > 0.0)
         .map(|(&mean, &squares)| (mean, squares))
         .collect();
-    let dim = (pixels.len() as f64 * BRIGHT_SHARE) as usize;
-    if dim >= pixels.len() {
+    if pixels.is_empty() {
         return None;
     }
-    pixels.select_nth_unstable_by(dim, |a, b| a.0.total_cmp(&b.0));
-    let mut ratios: Vec<f64> = pixels[dim..]
+    let rank = (pixels.len() as f64 * BRIGHT_QUANTILE) as usize;
+    let (_, &mut (quantile, _), _) = pixels.select_nth_unstable_by(rank, |a, b| a.0.total_cmp(&b.0));
+    let mut ratios: Vec<f64> = pixels
         .iter()
+        .filter(|(mean, _)| *mean >= quantile / 2.0)
         .map(|&(mean, squares)| f64::from(mean) / (f64::from(squares) / freedom / count as f64).sqrt())
         .collect();
+    if quantile <= 0.0 || ratios.is_empty() {
+        return None;
+    }
     let middle = ratios.len() / 2;
     let (_, median, _) = ratios.select_nth_unstable_by(middle, f64::total_cmp);
     let median_of_variance = (1.0 - 2.0 / (9.0 * freedom)).powi(3);
