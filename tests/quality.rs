@@ -1,8 +1,8 @@
 //! Quality of live results against simulated measurements, and what watching it costs.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use sofiscope::reconstruction::{Quality, QualityMonitor, QualitySettings};
-use sofiscope::sofi::cumulant::{CumulantSettings, Exposure};
+use sofiscope::reconstruction::{AllCores, Quality, QualityMonitor, QualitySettings};
+use sofiscope::sofi::cumulant::{CumulantEngine, CumulantSettings, Exposure};
 use sofiscope::sofi::spectra::Species;
 use sofiscope::sofi::unmixing::UnmixingMatrix;
 use sofiscope_sim::{Scene, World};
@@ -81,12 +81,6 @@ fn quality_of_three_filaments_grows_as_it_should() {
         let nm: Vec<_> = quality.resolution.iter().map(|resolution| resolution.nm).collect();
         println!("{} {:?} {nm:?}", quality.subsequences, quality.snr_species);
     }
-    for k in [4, 19] {
-        for r in &history[k].resolution {
-            let c = r.curve.as_ref().unwrap();
-            println!("{k} {:?}", c.smoothed.iter().map(|v| (v * 100.0).round() as i32).collect::<Vec<_>>());
-        }
-    }
     assert_eq!(history.len(), 20);
     assert_eq!((history[0].snr_channels[0], history[0].resolution[0].nm), (None, None));
     let (early, last) = (&history[4], &history[19]);
@@ -131,5 +125,44 @@ fn the_half_time_of_bleaching_is_found() {
             let found = bleaching.half_time_s.unwrap();
             assert!((found / expected - 1.0).abs() < 0.15, "{found} s, not {expected} s");
         }
+    }
+}
+
+/// Processor time of this program so far, all threads, seconds.
+fn cpu_seconds() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+#[test]
+#[ignore = "measures; run it alone, on a quiet computer"]
+fn watching_costs_little_beside_the_engine() {
+    let dyes = [("a", 0.02), ("b", 0.35), ("c", 0.98)].map(|(name, t)| Species::new(name, t).unwrap());
+    for side in [2048, 512] {
+        let film: Vec<Vec<u16>> = (0..16_usize)
+            .map(|frame| {
+                (0..side * side).map(|pixel| 100 + (pixel * (frame + 7) * 7919 % 251) as u16).collect()
+            })
+            .collect();
+        let settings = CumulantSettings::new(2, 2, 200);
+        let mut engine = CumulantEngine::new(settings.clone(), side, side).unwrap();
+        let mut quality = QualitySettings::new(settings, side, side);
+        quality.matrix = Some(UnmixingMatrix::new(2, &dyes).unwrap());
+        let mut monitor = QualityMonitor::new(quality).unwrap();
+        let (mut of_engine, mut of_monitor) = (0.0, 0.0);
+        for block in 0..25_u64 {
+            let planes: Vec<[&[u16]; 2]> = (0..16).map(|k| [&film[k][..], &film[15 - k][..]]).collect();
+            let exposures: Vec<Exposure<'_, u16>> =
+                (block * 16..).zip(&planes).map(|(index, planes)| Exposure { index, planes }).collect();
+            let begun = cpu_seconds();
+            engine.push(&AllCores, &exposures).unwrap();
+            let between = cpu_seconds();
+            monitor.push(&exposures).unwrap();
+            of_engine += between - begun;
+            of_monitor += cpu_seconds() - between;
+        }
+        let share = of_monitor / of_engine;
+        println!("{side}: engine {of_engine:.3} s, watching {of_monitor:.3} s, {:.1} %", 100.0 * share);
+        assert!(side < 2048 || share < 0.1, "{share}");
     }
 }
