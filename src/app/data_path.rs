@@ -349,7 +349,7 @@ fn analysis_stages<P: Send + Sync + 'static>(
         stage = Some(spawn("preview", move || threads.install(|| work.run())).map_err(no_thread)?);
         link = Some(its_link);
     }
-    let analysis = LiveAnalysis { engine, pairs, trace_every, preview: link, clock };
+    let analysis = LiveAnalysis { engine, pairs, trace_every, preview: link, quality: None, clock };
     let analysis = spawn("analyze", move || analysis.run()).map_err(no_thread)?;
     Ok((Some(sender), Some(analysis), stage, pictures))
 }

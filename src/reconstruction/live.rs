@@ -1,11 +1,11 @@
 //! The analysis thread: frame pairs as they come, into the running cumulants, block by block.
 //!
-//! In: [`FramePair`]s in order of exposure. Out: the engine at the end, snapshots for the preview meanwhile.
+//! In: [`FramePair`]s in order of exposure. Out: the engine at the end, snapshots for the preview and quality meanwhile.
 //! Never: waits for the preview, keeps a frame longer than its block, lets the division into blocks change a bit.
 //! Fails: [`PushError`], which only a defect in the program can cause.
 
 use super::preview::{PreviewLink, Snapshot};
-use super::{AllCores, BLOCK, Feed};
+use super::{AllCores, BLOCK, Feed, Quality, QualityMonitor};
 use crate::acquisition::{FramePair, HostClock};
 use crate::pipeline::{Received, Receiver};
 use crate::sofi::cumulant::{CumulantEngine, Exposure, PushError};
@@ -26,6 +26,8 @@ pub struct LiveAnalysis {
     pub trace_every: u64,
     /// To the preview, if there is one.
     pub preview: Option<PreviewLink>,
+    /// Watches how good the result is, if it is to be watched.
+    pub quality: Option<QualityMonitor>,
     /// Stamps snapshots.
     pub clock: HostClock,
 }
@@ -37,6 +39,8 @@ pub struct LiveReport {
     pub engine: CumulantEngine<u16>,
     /// Exposures, subsequences and mean counts.
     pub feed: Feed,
+    /// Quality after each subsequence; empty if it was not watched.
+    pub quality: Vec<Quality>,
 }
 
 impl LiveAnalysis {
@@ -54,7 +58,8 @@ impl LiveAnalysis {
                 block.clear();
             }
             if !open {
-                return Ok(LiveReport { engine: self.engine, feed });
+                let quality = self.quality.map_or_else(Vec::new, QualityMonitor::into_history);
+                return Ok(LiveReport { engine: self.engine, feed, quality });
             }
         }
     }
@@ -91,6 +96,9 @@ impl LiveAnalysis {
             .map(|(pair, planes)| Exposure { index: pair.exposure.0, planes })
             .collect();
         let closed = self.engine.push(&AllCores, &exposures)?;
+        if let Some(quality) = &mut self.quality {
+            quality.push(&exposures)?;
+        }
         feed.exposures += exposures.len() as u64;
         for exposure in exposures.iter().filter(|e| e.index.is_multiple_of(self.trace_every.max(1))) {
             let mean = |plane: &&[u16]| {

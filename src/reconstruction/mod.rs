@@ -8,10 +8,15 @@ mod chain;
 mod feed;
 mod live;
 mod preview;
+mod quality;
 mod workers;
 
 pub use chain::{ChainSettings, FlatteningKind, ReconstructionError, Stages, reconstruct};
 pub use feed::{BLOCK, Feed, FeedError, feed};
 pub use live::{LiveAnalysis, LiveReport};
 pub use preview::{Preview, PreviewLink, PreviewReport, PreviewSettings, Shown, Snapshot, preview};
+pub use quality::{
+    BleachingState, CENTRAL_SIDE, LagCheck, Quality, QualityError, QualityMonitor, QualitySettings,
+    Resolution,
+};
 pub use workers::AllCores;

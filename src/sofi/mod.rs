@@ -8,6 +8,7 @@
 //! | 4: equal weights for the shifted sub-grids | [`flattening`], [`psf`] | Eq. S6 |
 //! | 5: brightness that is linear again | [`linearization`], [`convolution`] | main text, step 5 |
 //! | on-time ratio, brightness and density from three orders | [`balancing`] | bSOFI |
+//! | signal-to-noise, resolution, bleaching while frames come in | [`quality`] | |
 //!
 //! Never: reads a clock or a file, draws a random number, knows a device.
 
@@ -18,5 +19,6 @@ pub mod flattening;
 pub mod grid;
 pub mod linearization;
 pub mod psf;
+pub mod quality;
 pub mod spectra;
 pub mod unmixing;
