@@ -63,6 +63,9 @@ pub struct DispatchReport {
     pub accounts: Accounts,
     /// What happened to pairing.
     pub events: Vec<PairingEvent>,
+    /// Pairs that a full queue kept from the analysis while the preview was not yet shut out; always 0, as the
+    /// preview must go first.
+    pub lost_beside_preview: u64,
 }
 
 /// The work of the pairing thread.
@@ -97,6 +100,7 @@ struct Books {
     /// Records without frames that wait until the recording has room.
     pending: VecDeque<ExposureRecord>,
     events: Vec<PairingEvent>,
+    lost_beside_preview: u64,
 }
 
 impl Dispatch {
@@ -155,10 +159,16 @@ impl Dispatch {
     }
 
     fn give_out(&mut self, resolved: Resolved, books: &mut Books) {
-        let fill = self.fill();
-        books.pressure = books.shedding.step(fill[0], fill[1]);
+        self.flush_pending(books);
+        let [recording, analysis] = self.fill();
+        // Rows that still wait mean that the recording has just lost frames, however empty its queue is by now.
+        let recording = if books.pending.is_empty() { recording } else { 1.0 };
+        books.pressure = books.shedding.step(recording, analysis);
         self.gauge.set(books.pressure);
         let analysis = self.analyze(&resolved, books.pressure);
+        if analysis == Analysis::LeftOut(Loss::QueueFull) && books.pressure == Pressure::None {
+            books.lost_beside_preview += 1;
+        }
         let Resolved { exposure, sides, pair } = resolved;
         let record = ExposureRecord { exposure, sides, pair, analysis };
         books.accounts.enter(&record);
@@ -186,7 +196,6 @@ impl Dispatch {
     }
 
     fn record(&mut self, record: ExposureRecord, books: &mut Books) {
-        self.flush_pending(books);
         if books.pending.is_empty() {
             let Some(queue) = &mut self.to_recording else { return };
             match queue.send(record) {
@@ -250,7 +259,11 @@ impl Dispatch {
             (account.duplicates, account.late) = (surplus.duplicates, surplus.late);
         }
         self.show(&books);
-        DispatchReport { accounts: books.accounts, events: books.events }
+        DispatchReport {
+            accounts: books.accounts,
+            events: books.events,
+            lost_beside_preview: books.lost_beside_preview,
+        }
     }
 }
 
