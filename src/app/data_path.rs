@@ -15,9 +15,10 @@ use crate::acquisition::{
     Dispatch, DispatchReport, ExposureRecord, FramePair, FramePool, Grabbed, Grabber, GrabberEnd,
     GrabberStatus, HostClock, LeaveOut, Pairing, PairingSettings, Patience, PressureGauge, Progress,
 };
-use crate::pipeline::{Bell, Receiver, Sender, Stage, Viewer, WhenFull, bounded, latest, spawn};
+use crate::pipeline::{Bell, Publisher, Receiver, Sender, Stage, Viewer, WhenFull, bounded, latest, spawn};
 use crate::reconstruction::{
-    LiveAnalysis, LiveReport, PreviewReport, PreviewSettings, Shown, Snapshot, preview,
+    LiveAnalysis, LiveReport, PreviewReport, PreviewSettings, Quality, QualityMonitor, QualitySettings,
+    Shown, Snapshot, preview,
 };
 use crate::recording::Recording;
 use crate::sofi::cumulant::{CumulantEngine, PushError};
@@ -71,6 +72,8 @@ impl DataPathSettings {
 pub(super) struct AnalysisPart<P> {
     pub(super) engine: CumulantEngine<u16>,
     pub(super) trace_every: u64,
+    /// How good the image is while frames come in; none where nobody asks.
+    pub(super) quality: Option<QualitySettings>,
     pub(super) preview: Option<PreviewPart<P>>,
 }
 
@@ -96,6 +99,7 @@ pub(super) struct DataPath<P: Send + Sync> {
     stop: Arc<AtomicBool>,
     progress: Viewer<Progress>,
     pictures: Viewer<Shown<P>>,
+    quality: Viewer<Option<Quality>>,
     clock: HostClock,
     /// When the first exposure could begin.
     begin: HostTime,
@@ -158,8 +162,9 @@ impl<P: Send + Sync + 'static> DataPath<P> {
             Patience::Live => WhenFull::Refuse,
             Patience::Patient => WhenFull::Wait,
         };
+        let (judge, quality) = latest(None);
         let (to_analysis, analysis, preview, pictures) =
-            analysis_stages(analysis, frames, when_full, &gauge, clock)?;
+            analysis_stages(analysis, frames, when_full, &gauge, clock, judge)?;
         let recorder_status = recorder.as_ref().map(|recorder| recorder.status.clone()).unwrap_or_default();
         let (to_recording, recorder) = recorder_stage(recorder, frames, when_full)?;
         let (publisher, progress) = latest(Progress::default());
@@ -196,6 +201,7 @@ impl<P: Send + Sync + 'static> DataPath<P> {
             stop,
             progress,
             pictures,
+            quality,
             clock,
             begin,
         })
@@ -204,6 +210,11 @@ impl<P: Send + Sync + 'static> DataPath<P> {
     /// What is shown now.
     pub(super) fn progress(&mut self) -> Progress {
         self.progress.look().clone()
+    }
+
+    /// How good the image is by now, once a subsequence has closed.
+    pub(super) fn quality(&mut self) -> Option<&Quality> {
+        self.quality.look().as_ref()
     }
 
     /// Whether both cameras have said all they had to say and every exposure is resolved.
@@ -330,9 +341,10 @@ fn analysis_stages<P: Send + Sync + 'static>(
     when_full: WhenFull,
     gauge: &PressureGauge,
     clock: HostClock,
+    judge: Publisher<Option<Quality>>,
 ) -> Result<AnalysisParts<P>, AppError> {
     let (publisher, pictures) = latest(Shown::default());
-    let Some(AnalysisPart { engine, trace_every, preview: part }) = analysis else {
+    let Some(AnalysisPart { engine, trace_every, quality, preview: part }) = analysis else {
         return Ok((None, None, None, pictures));
     };
     let (sender, pairs) = bounded("pair→analyze", (frames * 3 / 8).max(1), when_full, &Bell::default());
@@ -349,7 +361,9 @@ fn analysis_stages<P: Send + Sync + 'static>(
         stage = Some(spawn("preview", move || threads.install(|| work.run())).map_err(no_thread)?);
         link = Some(its_link);
     }
-    let analysis = LiveAnalysis { engine, pairs, trace_every, preview: link, quality: None, clock };
+    let quality = quality.map(QualityMonitor::new).transpose().map_err(AppError::usage)?;
+    let quality = quality.map(|monitor| monitor.publishing(judge));
+    let analysis = LiveAnalysis { engine, pairs, trace_every, preview: link, quality, clock };
     let analysis = spawn("analyze", move || analysis.run()).map_err(no_thread)?;
     Ok((Some(sender), Some(analysis), stage, pictures))
 }

@@ -11,6 +11,7 @@ use crate::acquisition::{LeaveOut, Patience, Progress};
 use crate::control::contracts::{self, ArmedCamera, DataPathError, Drain, PathProgress, StopRecord};
 use crate::control::plan::{AcquisitionEvent, RecordingFormat};
 use crate::control::run_state::FinishReason;
+use crate::reconstruction::QualitySettings;
 use crate::recording::{
     self, CameraDescription, Format, Recording, RecordingPlan, RecordingSummary, StopStatus,
 };
@@ -21,6 +22,9 @@ use std::time::Duration;
 
 /// A camera that is silent for longer than this and than five periods, while the other is not, has stalled.
 const LONGEST_SILENCE: Duration = Duration::from_millis(500);
+
+/// Frames of more pixels than this are judged by a larger part of them.
+const LARGE_FRAME: usize = 1 << 20;
 
 /// What every series of a run has in common.
 #[derive(Debug, Clone)]
@@ -97,7 +101,14 @@ impl LivePath {
             }
         });
         let trace_every = wanted.map_or(1, |exposures| exposures.div_ceil(TRACE_POINTS));
-        Ok(Some(AnalysisPart { engine, trace_every, preview }))
+        let quality = QualitySettings {
+            central_side: if height * width > LARGE_FRAME { 256 } else { 128 },
+            matrix: prepared.matrix.clone(),
+            pixel_pitch_nm: Some(prepared.pixel_pitch_nm),
+            period: Some(settings.period),
+            ..QualitySettings::new(prepared.engine.clone(), height, width)
+        };
+        Ok(Some(AnalysisPart { engine, trace_every, quality: Some(quality), preview }))
     }
 
     fn recorder(
@@ -171,6 +182,12 @@ impl contracts::DataPath for LivePath {
         if let Some(running) = &mut series.running {
             series.last = running.progress();
         }
+        let (mut snr, mut resolution_nm) = (Vec::new(), None);
+        if let Some(quality) = series.running.as_mut().and_then(DataPath::quality) {
+            // The stop rule asks for every species, so it hears of none as long as one is not known.
+            snr = quality.snr_species.iter().copied().collect::<Option<Vec<f64>>>().unwrap_or_default();
+            resolution_nm = worst(quality.resolution.iter().map(|resolution| resolution.nm));
+        }
         let mut exposures = series.last.exposures;
         let mut failure = None;
         if let Some(running) = &series.running {
@@ -183,7 +200,7 @@ impl contracts::DataPath for LivePath {
         let failure = failure.filter(|_| !series.told_failure);
         series.told_failure |= failure.is_some();
         let record_drops = series.last.unrecorded;
-        PathProgress { exposures, record_drops, snr: Vec::new(), resolution_nm: None, failure }
+        PathProgress { exposures, record_drops, snr, resolution_nm, failure }
     }
 
     fn drain(&mut self) -> Result<Drain, DataPathError> {
@@ -264,6 +281,11 @@ fn failure_of(
         silence[stalled.index()].as_millis(),
         frames[stalled.index()]
     )))
+}
+
+/// The largest of some values, if all of them are known.
+fn worst(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    values.collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::max)
 }
 
 fn silent_camera(running: &DataPath<PreviewPicture>) -> Channel {

@@ -15,6 +15,7 @@ use crate::control::run_state::FinishReason;
 use crate::control::sequencer::{Begin, Command, Devices, Patience, Sequencer, Status};
 use crate::display::PngNotes;
 use crate::files::OutputDirectory;
+use crate::reconstruction::Quality;
 use serde::Serialize;
 use sofiscope_hal::HostTime;
 use std::collections::BTreeMap;
@@ -50,6 +51,8 @@ pub(super) struct Ended {
     pub(super) simulated: bool,
     /// Why the run ended, for people.
     pub(super) ended: String,
+    /// How good the image is, as the run knew it at its end.
+    pub(super) quality: Option<Quality>,
     pub(super) recording: Option<PathBuf>,
     pub(super) results: Option<PathBuf>,
 }
@@ -182,6 +185,7 @@ impl Acquired {
             pairs_analyzed: 0,
             simulated,
             ended: self.records.last().map(|record| reason_text(&record.reason)).unwrap_or_default(),
+            quality: None,
             recording: None,
             results: None,
         };
@@ -193,6 +197,8 @@ impl Acquired {
             for (reason, frames) in accounts.lost_by_reason() {
                 *ended.frames_lost.entry(reason.name().to_owned()).or_default() += frames;
             }
+            let live = result.report.analysis.as_ref();
+            ended.quality = live.and_then(|live| live.quality.last().cloned()).or(ended.quality);
             if let Some(recording) = &result.recording {
                 ended.frames_recorded += recording.recorded.iter().sum::<u64>();
                 ended.recording.get_or_insert_with(|| recording.directory.clone());
@@ -212,6 +218,18 @@ pub(super) fn analysis_of(result: &mut SeriesResult, prepared: Prepared) -> Resu
     })?;
     let mut prepared = prepared;
     prepared.warnings.extend(loss_warnings(result));
+    if live
+        .quality
+        .last()
+        .and_then(|quality| quality.lag.as_ref())
+        .is_some_and(|lag| lag.in_step == Some(false))
+    {
+        prepared.warnings.push(
+            "The light of both cameras agrees best some exposures apart: they do not see the same exposures. \
+             Check trigger and cabling; species images of this run must not be trusted."
+                .to_owned(),
+        );
+    }
     let took = Duration::from_secs_f64(result.report.seconds);
     prepared.finish(&live.engine, live.feed, took)
 }
