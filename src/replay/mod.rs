@@ -15,13 +15,16 @@
 mod camera;
 mod clock;
 mod control;
+mod dcimg;
 mod error;
 mod open;
+mod raw;
 mod recorded;
 mod source;
 mod stack;
 mod stream;
 mod timeline;
+mod zarr;
 
 use std::collections::BTreeSet;
 use std::sync::Arc;

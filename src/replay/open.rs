@@ -8,7 +8,10 @@ use super::camera::Reel;
 use super::source::{Numbering, Opened, SourceFile};
 use super::stack::PERIOD_UNKNOWN;
 use super::timeline::Timeline;
-use super::{Replay, ReplayCamera, ReplayControl, ReplayError, ReplayInfo, ReplayOptions, recorded, stack};
+use super::{
+    Replay, ReplayCamera, ReplayControl, ReplayError, ReplayInfo, ReplayOptions, dcimg, raw, recorded, stack,
+    zarr,
+};
 use crate::files::FileError;
 use sofiscope_hal::{CameraIdentity, CameraSettings, Channel, Region, TriggerMode};
 use std::collections::BTreeSet;
@@ -72,20 +75,32 @@ fn is_recording(path: &Path) -> bool {
 fn open_file(path: &Path, period: Option<Duration>) -> Result<Vec<Opened>, ReplayError> {
     let found = fs::metadata(path).map_err(|source| ReplayError::io(path, "open", source))?;
     if found.is_dir() {
-        let remedy = "Name a recording of sofiscope, or the image files";
-        return Err(ReplayError::unsupported(path, "directory", "no recording.json is in it", remedy));
+        if path.join(zarr::METADATA).is_file() {
+            return zarr::open(path, period);
+        }
+        let (detail, remedy) = if path.join(".zarray").exists() || path.join(".zgroup").exists() {
+            ("it is Zarr of version 2", "Convert it to Zarr of version 3 or to TIFF")
+        } else {
+            ("neither recording.json nor zarr.json is in it", "Name a recording of sofiscope, or image files")
+        };
+        return Err(ReplayError::unsupported(path, "directory", detail, remedy));
     }
     if !found.is_file() {
         let path = path.to_path_buf();
         return Err(FileError::NotAFile { path, found: "a device or pipe" }.into());
     }
-    let file = SourceFile::open(path)?;
-    let mut magic = [0; 8];
-    let length = file.length.min(8) as usize;
-    file.read(&mut magic[..length], 0, "header")?;
-    match &magic[..] {
-        _ => stack::open(path, period),
+    // Only headers and bare pixels have no sign of what they are.
+    if path.extension().is_some_and(|ending| ending == "toml" || ending == "raw") {
+        return Ok(vec![raw::open(path, period)?]);
     }
+    let file = SourceFile::open(path)?;
+    let mut beginning = [0; dcimg::MAGIC.len()];
+    let length = file.length.min(beginning.len() as u64) as usize;
+    file.read(&mut beginning[..length], 0, "header")?;
+    if beginning == *dcimg::MAGIC {
+        return Ok(vec![dcimg::open(path, period)?]);
+    }
+    stack::open(path, period)
 }
 
 fn one(path: &Path, opened: Vec<Opened>) -> Result<Opened, ReplayError> {
