@@ -16,6 +16,9 @@ mod formats;
 #[path = "replay/hostile.rs"]
 mod hostile;
 #[cfg(test)]
+#[path = "replay/pipeline.rs"]
+mod pipeline;
+#[cfg(test)]
 #[path = "replay/recordings.rs"]
 mod recordings;
 #[cfg(test)]

@@ -17,6 +17,9 @@ use std::path::{Path, PathBuf};
 /// Name of the file that makes a directory a recording.
 pub(super) const METADATA: &str = "recording.json";
 const LEDGER: &str = "ledger.csv";
+/// Directories below a recorded array, and files in all of them: three for each 64 frames.
+const MAX_DEPTH: u32 = 5;
+const MAX_ENTRIES: u64 = MAX_EXPOSURES / 16;
 /// Longer texts beside the frames are not taken along.
 const MAX_TEXT_BYTES: u64 = 1 << 20;
 
@@ -62,9 +65,7 @@ struct Rows {
 }
 
 pub(super) fn open(directory: &Path) -> Result<Recorded, ReplayError> {
-    for name in [METADATA, LEDGER, "events.jsonl"] {
-        drop(SourceFile::open_unlinked(&directory.join(name))?);
-    }
+    check_plain(directory)?;
     let runs = [recording::open(directory)?, recording::open(directory)?];
     let metadata = runs[0].metadata().clone();
     let Rows { mut places, exposures, left_out } = rows(directory, &runs[0])?;
@@ -80,6 +81,41 @@ pub(super) fn open(directory: &Path) -> Result<Recorded, ReplayError> {
     let origin = format!("recorded {} by {}", metadata.created, metadata.program);
     let (cameras, simulated) = (metadata.cameras, metadata.simulated);
     Ok(Recorded { cameras, simulated, origin, sources, exposures, left_out, provenance })
+}
+
+/// Refuses links, pipes and devices, which could lead elsewhere or keep the reader waiting for ever.
+fn check_plain(directory: &Path) -> Result<(), ReplayError> {
+    for name in [METADATA, LEDGER, "events.jsonl"] {
+        drop(SourceFile::open_unlinked(&directory.join(name))?);
+    }
+    for camera in ["reflection", "transmission"] {
+        let mut left = MAX_ENTRIES;
+        for ending in ["tif", "zarr"] {
+            check_tree(&directory.join(format!("{camera}.ome.{ending}")), MAX_DEPTH, &mut left)?;
+        }
+    }
+    Ok(())
+}
+
+/// Walks over a file or directory; one that is not there is plain.
+fn check_tree(path: &Path, depth: u32, left: &mut u64) -> Result<(), ReplayError> {
+    let Ok(found) = fs::symlink_metadata(path) else { return Ok(()) };
+    let refuse = |detail: &str| Err(ReplayError::damaged(path, "kind of file", detail));
+    if found.is_file() {
+        return Ok(());
+    }
+    if !found.is_dir() {
+        return refuse("a link, device or pipe");
+    }
+    let failed = |source| ReplayError::io(path, "list", source);
+    for entry in fs::read_dir(path).map_err(failed)? {
+        *left = left.saturating_sub(1);
+        if depth == 0 || *left == 0 {
+            return refuse("more directories and files than a recording has");
+        }
+        check_tree(&entry.map_err(failed)?.path(), depth - 1, left)?;
+    }
+    Ok(())
 }
 
 fn rows(directory: &Path, run: &RecordedRun) -> Result<Rows, ReplayError> {

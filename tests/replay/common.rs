@@ -79,7 +79,8 @@ pub(crate) fn is_left_out(exposure: u64) -> bool {
     Channel::BOTH.into_iter().all(|channel| is_recorded(channel, exposure)) && exposure.is_multiple_of(7)
 }
 
-fn record(exposure: u64) -> ExposureRecord {
+/// One exposure of a recording with gaps.
+pub(crate) fn record(exposure: u64) -> ExposureRecord {
     let sides = Channel::BOTH.map(|channel| {
         if is_recorded(channel, exposure) {
             let received = HostTime(received_ns(channel, exposure));
@@ -121,6 +122,17 @@ pub(crate) fn camera(serial: &str) -> CameraDescription {
     }
 }
 
+pub(crate) fn plan(directory: &Path, format: Format) -> RecordingPlan {
+    RecordingPlan {
+        directory: directory.to_path_buf(),
+        format,
+        cameras: [camera("R1"), camera("T1")],
+        planned_exposures: None,
+        simulated: false,
+        provenance: vec![("plan.yaml".to_owned(), "# as used\n".to_owned())],
+    }
+}
+
 /// A recording with all kinds of gaps.
 pub(crate) fn recording(directory: &Path, format: Format, exposures: u64) {
     recording_of(directory, format, (0..exposures).map(record));
@@ -147,15 +159,7 @@ pub(crate) fn whole_recording(directory: &Path, format: Format, exposures: u64) 
 }
 
 pub(crate) fn recording_of(directory: &Path, format: Format, records: impl Iterator<Item = ExposureRecord>) {
-    let plan = RecordingPlan {
-        directory: directory.to_path_buf(),
-        format,
-        cameras: [camera("R1"), camera("T1")],
-        planned_exposures: None,
-        simulated: false,
-        provenance: vec![("plan.yaml".to_owned(), "# as used\n".to_owned())],
-    };
-    let mut recording = Recording::create(&plan).unwrap();
+    let mut recording = Recording::create(&plan(directory, format)).unwrap();
     for record in records {
         recording.push(&record).unwrap();
     }

@@ -16,7 +16,7 @@ const MAX_AXES: usize = 6;
 /// Bytes of one chunk that is decoded at once.
 pub(super) const MAX_CHUNK_BYTES: u64 = 32 << 20;
 /// Chunks of one frame.
-const MAX_TILES: u64 = 4096;
+const MAX_PIECES: u64 = 4096;
 /// Chunks of one shard; their index takes 16 bytes each.
 const MAX_SHARD_CHUNKS: u64 = 1 << 18;
 
@@ -316,9 +316,9 @@ fn check_chunks(path: &Path, shape: &[u64], chunk: &[u64], bytes_per_pixel: u64)
         return Err(ReplayError::unsupported(path, "chunk_shape", detail, "Export it in smaller chunks"));
     }
     let last = shape.len() - 1;
-    let tiles = shape[last - 1].div_ceil(chunk[last - 1]) * shape[last].div_ceil(chunk[last]);
-    if tiles > MAX_TILES {
-        let detail = format!("a frame has {tiles} chunks where at most {MAX_TILES} are read");
+    let pieces = shape[last - 1].div_ceil(chunk[last - 1]) * shape[last].div_ceil(chunk[last]);
+    if pieces > MAX_PIECES {
+        let detail = format!("a frame has {pieces} chunks where at most {MAX_PIECES} are read");
         return Err(ReplayError::unsupported(path, "chunk_shape", detail, "Export it in larger chunks"));
     }
     Ok(())

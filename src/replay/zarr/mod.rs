@@ -23,13 +23,13 @@ struct ZarrFrames {
     channel: u64,
     chunks: Chunks,
     /// Decoded chunks: all of a frame where chunks hold several frames and memory allows, else one.
-    tiles: Vec<Tile>,
+    pieces: Vec<Piece>,
     even: Even,
 }
 
 /// A decoded chunk.
 #[derive(Debug, Clone)]
-struct Tile {
+struct Piece {
     place: Vec<u64>,
     is_there: bool,
     bytes: Vec<u8>,
@@ -63,13 +63,13 @@ pub(super) fn open(directory: &Path, period: Option<Duration>) -> Result<Vec<Ope
 impl ZarrFrames {
     fn new(layout: ArrayLayout, channel: u64, even: Even) -> Result<Self, ReplayError> {
         let chunks = Chunks::new(&layout)?;
-        let [rows, columns] = tiles_of(&layout);
+        let [rows, columns] = pieces_of(&layout);
         let is_shared = layout.chunk[layout.frame_axis] > 1;
         let all = rows * columns;
         let fits = all * chunks.bytes as u64 <= MAX_CHUNK_BYTES;
         let number = if is_shared && fits { all } else { 1 };
-        let empty = Tile { place: Vec::new(), is_there: false, bytes: Vec::new() };
-        Ok(Self { layout, channel, chunks, tiles: vec![empty; number as usize], even })
+        let empty = Piece { place: Vec::new(), is_there: false, bytes: Vec::new() };
+        Ok(Self { layout, channel, chunks, pieces: vec![empty; number as usize], even })
     }
 
     fn height(&self) -> u64 {
@@ -99,23 +99,23 @@ impl ZarrFrames {
         (place, offset * chunk[last - 1] * chunk[last])
     }
 
-    /// Brings a chunk into memory; gives the number of its tile.
+    /// Brings a chunk into memory; gives the number of its piece.
     fn load(&mut self, place: Vec<u64>, number: usize) -> Result<usize, ReplayError> {
-        let number = number % self.tiles.len();
-        let tile = &mut self.tiles[number];
-        if tile.place == place {
+        let number = number % self.pieces.len();
+        let piece = &mut self.pieces[number];
+        if piece.place == place {
             return Ok(number);
         }
-        tile.place.clear();
-        tile.bytes.resize(self.chunks.bytes, 0);
-        tile.is_there = self.chunks.read(&self.layout, &place, &mut tile.bytes)?;
-        tile.place = place;
+        piece.place.clear();
+        piece.bytes.resize(self.chunks.bytes, 0);
+        piece.is_there = self.chunks.read(&self.layout, &place, &mut piece.bytes)?;
+        piece.place = place;
         Ok(number)
     }
 }
 
 /// Rows and columns of the chunks of one frame.
-fn tiles_of(layout: &ArrayLayout) -> [u64; 2] {
+fn pieces_of(layout: &ArrayLayout) -> [u64; 2] {
     let last = layout.shape.len() - 1;
     [last - 1, last].map(|axis| layout.shape[axis].div_ceil(layout.chunk[axis]))
 }
@@ -134,27 +134,27 @@ impl FrameSource for ZarrFrames {
         check_read(&self.layout.root, (frame, self.frames()), (counts.len(), height * width))?;
         let last = self.layout.shape.len() - 1;
         let [rows, columns] = [self.layout.chunk[last - 1] as usize, self.layout.chunk[last] as usize];
-        let [tiles_down, tiles_across] = tiles_of(&self.layout);
+        let [pieces_down, pieces_across] = pieces_of(&self.layout);
         let mut missing = 0;
-        for tile_row in 0..tiles_down {
-            for tile_column in 0..tiles_across {
-                let (place, offset) = self.place(frame, tile_row, tile_column);
-                let number = self.load(place, (tile_row * tiles_across + tile_column) as usize)?;
-                let tile = &self.tiles[number];
-                missing += u64::from(!tile.is_there);
-                let [top, left] = [tile_row as usize * rows, tile_column as usize * columns];
+        for piece_row in 0..pieces_down {
+            for piece_column in 0..pieces_across {
+                let (place, offset) = self.place(frame, piece_row, piece_column);
+                let number = self.load(place, (piece_row * pieces_across + piece_column) as usize)?;
+                let piece = &self.pieces[number];
+                missing += u64::from(!piece.is_there);
+                let [top, left] = [piece_row as usize * rows, piece_column as usize * columns];
                 let copied = columns.min(width - left);
                 for row in 0..rows.min(height - top) {
                     let target = &mut counts[(top + row) * width + left..][..copied];
-                    if tile.is_there {
-                        copy(&tile.bytes, offset as usize + row * columns, &self.layout, target);
+                    if piece.is_there {
+                        copy(&piece.bytes, offset as usize + row * columns, &self.layout, target);
                     } else {
                         target.fill(self.layout.fill);
                     }
                 }
             }
         }
-        if missing == tiles_down * tiles_across {
+        if missing == pieces_down * pieces_across {
             let (place, _) = self.place(frame, 0, 0);
             let detail =
                 format!("no chunk of frame {frame} is there, for example {}", self.layout.key(&place));
