@@ -9,6 +9,7 @@
 //! | room | what happens there |
 //! |---|---|
 //! | [`files`] | image stacks in, result images out |
+//! | [`replay`] | recorded frames through cameras that are none, into the same pipeline |
 //! | [`sofi`] | the mathematics, one file per step of the paper |
 //! | [`reconstruction`] | exposures to images: runs `sofi` on all cores |
 //! | [`display`] | colormaps, contrast, composites, scale bars |
@@ -25,5 +26,6 @@ pub mod files;
 pub mod pipeline;
 pub mod reconstruction;
 pub mod recording;
+pub mod replay;
 pub mod report;
 pub mod sofi;

@@ -21,7 +21,7 @@ struct Room {
 }
 
 /// The arrows that are allowed. A new arrow is a decision: it is made here, with its reason in the same change.
-const ROOMS: [Room; 11] = [
+const ROOMS: [Room; 12] = [
     // The mathematics knows nothing of the program: no file, no device, no log.
     Room {
         name: "sofi",
@@ -64,6 +64,13 @@ const ROOMS: [Room; 11] = [
         packages: &["sofiscope_hal"],
         crates: None,
     },
+    // Recorded frames behind the contract of cameras.
+    Room {
+        name: "replay",
+        rooms: &["acquisition", "files", "recording"],
+        packages: &["sofiscope_hal"],
+        crates: None,
+    },
     // Plans and the order of steps; devices only through their contracts.
     Room { name: "control", rooms: &["config"], packages: &["sofiscope_hal"], crates: None },
     // The composition root knows every room and is known by none; `main.rs` alone calls it.
@@ -78,6 +85,7 @@ const ROOMS: [Room; 11] = [
             "pipeline",
             "reconstruction",
             "recording",
+            "replay",
             "report",
             "sofi",
         ],
