@@ -2,11 +2,13 @@
 
 use super::AppError;
 use super::analysis::{Prepared, Source};
+use super::replay::{ReplayRequest, play};
 use super::results::{ensure_space, write_results};
 use super::text_file::read_text;
 use crate::config::{AnalysisFaults, AnalysisSettings, RawAnalysis};
 use crate::files::{ImageStack, OutputDirectory, SampleType};
 use crate::reconstruction::BLOCK;
+use crate::replay::{ReplayOptions, ReplaySpeed};
 use crate::sofi::cumulant::Count;
 use std::path::{Path, PathBuf};
 
@@ -24,7 +26,7 @@ const MOST_SETTINGS_BYTES: u64 = 64 << 10;
   sofiscope analyze one-camera.tif --psf-sigma 1.15 --out result
   sofiscope analyze r.tif t.tif --settings analysis.toml --order 3 --out result3")]
 pub(super) struct AnalyzeArguments {
-    /// Stack of camera R (reflection), or a stack with both cameras as channels, or the only camera
+    /// Stack of camera R (reflection), or a stack with both cameras as channels, or the only camera, or a recording
     reflection: PathBuf,
     /// Stack of camera T (transmission, the long-wavelength side)
     transmission: Option<PathBuf>,
@@ -74,7 +76,10 @@ pub(super) struct AnalyzeArguments {
 /// # Errors
 /// [`AppError`]: what is wrong with the arguments, the files or the disk; then there is no result directory.
 pub(super) fn run(arguments: &AnalyzeArguments) -> Result<(), AppError> {
-    let settings = settings(arguments)?;
+    if arguments.transmission.is_none() && arguments.reflection.join("recording.json").is_file() {
+        return analyze_recording(arguments);
+    }
+    let settings = AnalysisSettings::try_from(raw_settings(arguments)?).map_err(AppError::usage)?;
     let mut stacks = open(arguments)?;
     let mut prepared = Prepared::new(settings, source(&stacks)?)?;
     prepared.warnings.extend(same_file(arguments));
@@ -98,7 +103,19 @@ pub(super) fn run(arguments: &AnalyzeArguments) -> Result<(), AppError> {
     summary.print(&results, arguments.json)
 }
 
-fn settings(arguments: &AnalyzeArguments) -> Result<AnalysisSettings, AppError> {
+/// A recording goes through the pipeline of live frames, as fast as it can be read.
+fn analyze_recording(arguments: &AnalyzeArguments) -> Result<(), AppError> {
+    let request = ReplayRequest {
+        paths: std::slice::from_ref(&arguments.reflection),
+        options: ReplayOptions { speed: ReplaySpeed::Max, ..ReplayOptions::default() },
+        settings: raw_settings(arguments)?,
+        as_live: false,
+    };
+    let (_, results, summary) = play(request, &arguments.out)?;
+    summary.print(&results, arguments.json)
+}
+
+fn raw_settings(arguments: &AnalyzeArguments) -> Result<RawAnalysis, AppError> {
     let given = RawAnalysis {
         order: arguments.order,
         subsequence_exposures: arguments.subsequence,
@@ -116,7 +133,7 @@ fn settings(arguments: &AnalyzeArguments) -> Result<AnalysisSettings, AppError> 
         Some(path) => read_settings(path)?,
         None => RawAnalysis::default(),
     };
-    AnalysisSettings::try_from(given.or(file)).map_err(AppError::usage)
+    Ok(given.or(file))
 }
 
 fn read_settings(path: &Path) -> Result<RawAnalysis, AppError> {

@@ -19,6 +19,8 @@ enum Command {
     Demo(super::demo::DemoArguments),
     /// Carry out a plan: acquire, record and analyze live
     Run(super::run::RunArguments),
+    /// Play a recording or foreign files through mock cameras into the same pipeline
+    Replay(super::replay::ReplayArguments),
     /// Write a recording in the other format
     Export(super::keeping::ExportArguments),
     /// Make a recording whole after a crash
@@ -42,6 +44,7 @@ pub fn run(arguments: Arguments) -> Result<u8, AppError> {
         Command::Analyze(arguments) => super::analyze::run(&arguments),
         Command::Demo(arguments) => super::demo::run(&arguments),
         Command::Run(arguments) => super::run::run(&arguments),
+        Command::Replay(arguments) => super::replay::run(&arguments),
         Command::Export(arguments) => super::keeping::run_export(&arguments),
         Command::Recover(arguments) => return super::keeping::run_recover(&arguments),
         Command::Bench(arguments) => super::bench::run(&arguments),

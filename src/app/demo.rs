@@ -2,6 +2,7 @@
 
 use super::AppError;
 use super::analysis::{self, Analysis, Prepared};
+use super::analysis_note::AnalysisNote;
 use super::live_path::PathOptions;
 use super::results::{Scores, species_names};
 use super::run::{free_name, species_of};
@@ -77,7 +78,7 @@ pub(super) fn run(arguments: &DemoArguments) -> Result<(), AppError> {
         recording: Some(out.clone()),
         identities: rig.identities,
         pixel_pitch_nm: Some(prepared.pixel_pitch_nm),
-        provenance: Vec::new(),
+        provenance: vec![AnalysisNote::of(&RawAnalysis::default(), &prepared).file()?],
         pool_frames: None,
     };
     let period = Duration::from_secs_f64(world.scene().exposure_ms() / 1e3);

@@ -4,6 +4,7 @@
 //! Never: computes an image itself. Fails: [`AppError`], one or two sentences and an exit code.
 
 mod analysis;
+mod analysis_note;
 mod analyze;
 pub mod bench;
 mod bench_live;
@@ -17,6 +18,7 @@ mod live_path;
 mod preview_picture;
 mod progress;
 mod recorder;
+mod replay;
 mod results;
 mod run;
 pub mod score;

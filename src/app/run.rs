@@ -2,6 +2,7 @@
 
 use super::AppError;
 use super::analysis::{self, Prepared};
+use super::analysis_note::AnalysisNote;
 use super::live_path::PathOptions;
 use super::session::{acquire, analysis_of, write, write_preview};
 use super::simulated::{self, Rig};
@@ -101,6 +102,8 @@ pub(super) fn run(arguments: &RunArguments) -> Result<(), AppError> {
         return Err(AppError::usage("the run cannot begin; see the failed checks above"));
     }
     let Setup { plan, texts, rig, patience, source } = setup;
+    let mut provenance = texts;
+    provenance.push(AnalysisNote::of(plan.analysis(), &prepared).file()?);
     let options = PathOptions {
         analysis: Some(prepared.clone()),
         preview_every: Some(Duration::from_millis(300)),
@@ -109,7 +112,7 @@ pub(super) fn run(arguments: &RunArguments) -> Result<(), AppError> {
         recording: Some(out.clone()),
         identities: rig.identities,
         pixel_pitch_nm: Some(prepared.pixel_pitch_nm),
-        provenance: texts,
+        provenance,
         pool_frames: None,
     };
     if plan.recording() == RecordingFormat::None {

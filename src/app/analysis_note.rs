@@ -1,0 +1,64 @@
+//! How a run was analyzed, kept beside its frames as `analysis.json`, so that it can be done again.
+
+use super::AppError;
+use super::analysis::Prepared;
+use crate::config::RawAnalysis;
+use crate::sofi::spectra::{Species, SpectralResponse};
+use serde::{Deserialize, Serialize};
+
+/// Name of the file in a recording.
+pub(super) const FILE: &str = "analysis.json";
+
+/// Settings and species of an analysis.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct AnalysisNote {
+    /// The settings as they were typed, with the length of subsequences that followed from them.
+    pub(super) settings: RawAnalysis,
+    /// Species that the source knew, where none were named.
+    species: Vec<SpeciesNote>,
+}
+
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct SpeciesNote {
+    name: String,
+    transmission: f64,
+    reflection: f64,
+    emission_nm: Option<f64>,
+}
+
+impl AnalysisNote {
+    /// What is to be kept of an analysis.
+    pub(super) fn of(raw: &RawAnalysis, prepared: &Prepared) -> Self {
+        let mut settings = raw.clone();
+        settings.subsequence_exposures = Some(prepared.engine.subsequence);
+        settings.pixel_pitch_nm = Some(prepared.pixel_pitch_nm);
+        let note = |species: &Species| SpeciesNote {
+            name: species.name.clone(),
+            transmission: species.response.transmission(),
+            reflection: species.response.reflection(),
+            emission_nm: species.emission_nm,
+        };
+        Self { settings, species: prepared.source.species.iter().flatten().map(note).collect() }
+    }
+
+    /// The file's name and text.
+    pub(super) fn file(&self) -> Result<(String, String), AppError> {
+        Ok((FILE.to_owned(), serde_json::to_string_pretty(self).map_err(AppError::data)?))
+    }
+
+    /// Reads the text of the file.
+    pub(super) fn read(text: &str) -> Result<Self, AppError> {
+        serde_json::from_str(text).map_err(|error| AppError::Data(format!("{FILE}: {error}")))
+    }
+
+    /// The species that the source knew.
+    pub(super) fn species(&self) -> Result<Option<Vec<Species>>, AppError> {
+        let species = |note: &SpeciesNote| {
+            let response = SpectralResponse::measured(note.transmission, note.reflection);
+            let response = response.map_err(|error| AppError::Data(format!("{FILE}: {error}")))?;
+            Ok(Species { name: note.name.clone(), response, emission_nm: note.emission_nm })
+        };
+        let all = self.species.iter().map(species).collect::<Result<Vec<_>, AppError>>()?;
+        Ok((!all.is_empty()).then_some(all))
+    }
+}
