@@ -354,7 +354,7 @@ mod tests {
                     resolved.extend(drain(&mut pairing));
                 }
             }
-            Channel::BOTH.map(|channel| pairing.end(channel, Loss::Stopping));
+            Channel::BOTH.into_iter().for_each(|channel| pairing.end(channel, Loss::Stopping));
             resolved.extend(drain(&mut pairing));
             let last = reflected.iter().chain(&transmitted).max();
             prop_assert_eq!(resolved.len() as u64, last.map_or(0, |last| last + 1));
@@ -391,7 +391,7 @@ mod tests {
                 }
                 resolved.extend(drain(&mut pairing));
             }
-            Channel::BOTH.map(|channel| pairing.end(channel, Loss::Stopping));
+            Channel::BOTH.into_iter().for_each(|channel| pairing.end(channel, Loss::Stopping));
             resolved.extend(drain(&mut pairing));
             assert_pairs_are_true(&resolved);
             let pairs = resolved.iter().filter(|one| one.pair == PairState::Paired).count();
