@@ -156,13 +156,13 @@ impl Camera for ReplayCamera {
             return Err(self.error(ErrorKind::Busy, "is armed already; stop it first"));
         }
         self.is_armed = true;
-        self.reel.timeline.arm(self.reel.channel);
+        let run = self.reel.timeline.arm(self.reel.channel);
         let window = Window {
             part,
             recorded_width: self.recorded.region.width as usize,
             recorded_pixels: self.recorded.region.num_pixels(),
         };
-        Ok(Box::new(ReplayStream::new(Arc::clone(&self.reel), self.device(), window)))
+        Ok(Box::new(ReplayStream::new(Arc::clone(&self.reel), run, self.device(), window)))
     }
 
     fn stop(&mut self) -> Result<(), DeviceError> {

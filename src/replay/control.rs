@@ -24,12 +24,12 @@ pub struct ReplayControl {
 impl ReplayControl {
     /// Holds the next frame back until [`resume`](Self::resume).
     pub fn pause(&self) {
-        self.reels[0].timeline.set_paused(true);
+        self.reels[0].timeline.pause();
     }
 
     /// Goes on where it was paused; the pause takes no time of the recording.
     pub fn resume(&self) {
-        self.reels[0].timeline.set_paused(false);
+        self.reels[0].timeline.resume();
     }
 
     /// Whether it is paused.

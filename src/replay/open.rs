@@ -23,6 +23,9 @@ use std::time::Duration;
 /// First frame stamps that differ by more than this are not from one start.
 const MOST_LOST_AT_BEGIN: u64 = 1000;
 
+/// Measured periods of one run differ by less than one part in this many.
+const MOST_PERIOD_DIFFERENCE: u32 = 100;
+
 /// Opens a recording, one file with both channels, or one file per camera with R before T.
 ///
 /// # Errors
@@ -43,8 +46,7 @@ pub fn open(paths: &[PathBuf], options: ReplayOptions) -> Result<Replay, ReplayE
                     return Err(ReplayError::Refused { reason });
                 }
             }
-            let reflected = one(first, open_file(first, options.period)?)?;
-            let transmitted = one(second, open_file(second, options.period)?)?;
+            let [reflected, transmitted] = pair([first, second], options.period)?;
             files(reflected, transmitted, &options)?
         }
         _ => {
@@ -54,6 +56,17 @@ pub fn open(paths: &[PathBuf], options: ReplayOptions) -> Result<Replay, ReplayE
         }
     };
     assemble(parts, options)
+}
+
+/// Opens one file per camera; where only one says its period, it holds for both.
+fn pair(paths: [&PathBuf; 2], period: Option<Duration>) -> Result<[Opened; 2], ReplayError> {
+    let open = |path: &PathBuf, period| one(path, open_file(path, period)?);
+    let [reflected, transmitted] = [open(paths[0], period)?, open(paths[1], period)?];
+    Ok(match (reflected.period, transmitted.period) {
+        (None, Some(known)) => [open(paths[0], Some(known))?, transmitted],
+        (Some(known), None) => [reflected, open(paths[1], Some(known))?],
+        _ => [reflected, transmitted],
+    })
 }
 
 fn check_options(options: &ReplayOptions) -> Result<(), ReplayError> {
@@ -187,6 +200,7 @@ fn files(reflected: Opened, transmitted: Opened, options: &ReplayOptions) -> Res
     let [reflected, transmitted] = &opened;
     check_belonging(reflected, transmitted)?;
     let origins = origins(reflected, transmitted)?;
+    check_counted(&opened, origins)?;
     let period = options.period.or(reflected.period).or(transmitted.period);
     let exposures = opened.iter().zip(origins).map(|(opened, origin)| opened.exposures - origin).max();
     let kinds = if reflected.kind == transmitted.kind {
@@ -239,12 +253,34 @@ fn check_belonging(reflected: &Opened, transmitted: &Opened) -> Result<(), Repla
         return refuse(format!("{names} differ in size, {r} and {t} pixels; name two files of one run"));
     }
     let frames = [reflected.source.frames(), transmitted.source.frames()];
+    if let (Some(r), Some(t)) = (reflected.period, transmitted.period)
+        && r.abs_diff(t) > r.max(t) / MOST_PERIOD_DIFFERENCE
+    {
+        return refuse(format!("{names} differ in period, {r:?} and {t:?}; name two files of one run"));
+    }
     let counted = [reflected, transmitted].iter().any(|opened| opened.numbering == Numbering::Counted);
     if counted && frames[0] != frames[1] {
         return refuse(format!(
             "{names} differ in frames, {} and {}; frames cannot be paired by counting where some are lost",
             frames[0], frames[1]
         ));
+    }
+    Ok(())
+}
+
+/// Refuses counted frames beside numbered ones with gaps: nothing tells where they belong.
+fn check_counted(opened: &[Opened; 2], origins: [u64; 2]) -> Result<(), ReplayError> {
+    let is_counted = |opened: &Opened| opened.numbering == Numbering::Counted;
+    for ((one, origin), other) in opened.iter().zip(origins).zip(opened.iter().rev()) {
+        let lost = one.exposures - origin - one.source.frames();
+        if is_counted(other) && lost > 0 {
+            let reason = format!(
+                "{} lost {lost} frames, and those of {} have no numbers to find their partners by",
+                one.path.display(),
+                other.path.display()
+            );
+            return Err(ReplayError::Refused { reason });
+        }
     }
     Ok(())
 }

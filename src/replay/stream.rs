@@ -19,6 +19,8 @@ use std::time::Duration;
 /// The frames of one armed replay camera.
 pub(super) struct ReplayStream {
     reel: Arc<Reel>,
+    /// Which arming this is.
+    run: u64,
     cut: Cut,
     device: String,
     /// Part of the recorded frame that is delivered.
@@ -58,11 +60,11 @@ impl Window {
 
 impl ReplayStream {
     /// Takes all the memory that it will ever need.
-    pub(super) fn new(reel: Arc<Reel>, device: String, window: Window) -> Self {
+    pub(super) fn new(reel: Arc<Reel>, run: u64, device: String, window: Window) -> Self {
         let whole = if window.is_whole() { Vec::new() } else { vec![0; window.recorded_pixels] };
         let cut = reel.cut();
         let next = cut.begin;
-        Self { reel, cut, device, window, whole, next, round: 0, ahead: None }
+        Self { reel, run, cut, device, window, whole, next, round: 0, ahead: None }
     }
 
     fn error(&self, kind: ErrorKind, message: impl Into<String>) -> DeviceError {
@@ -162,7 +164,7 @@ impl FrameStream for ReplayStream {
                 return Err(self.error(ErrorKind::Ended, "the replay is at its end"));
             };
             let now = timeline.clock.now();
-            let wake = match timeline.due(reel.channel, self.position(frame), now) {
+            let wake = match timeline.due((reel.channel, self.run), self.position(frame), now) {
                 Due::Now => return self.deliver(frame, counts),
                 Due::Never => return Err(self.error(ErrorKind::Ended, "was stopped")),
                 Due::At(at) => at.min(deadline),

@@ -56,6 +56,8 @@ struct State {
     /// Time and position from which it goes on; `None` until the first frame is asked for.
     anchor: Option<(HostTime, f64)>,
     cameras: [Armed; 2],
+    /// How often each camera was armed.
+    runs: [u64; 2],
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -82,12 +84,22 @@ impl State {
 
 impl Timeline {
     pub(super) fn new(clock: Arc<dyn Clock>, speed: ReplaySpeed) -> Self {
-        let state = State { speed: tamed(speed), is_paused: false, anchor: None, cameras: [Armed::No; 2] };
+        let state = State {
+            speed: tamed(speed),
+            is_paused: false,
+            anchor: None,
+            cameras: [Armed::No; 2],
+            runs: [0; 2],
+        };
         Self { clock, bell: Bell::default(), state: Mutex::new(state) }
     }
 
-    pub(super) fn set_paused(&self, is_paused: bool) {
-        self.change(|state| state.is_paused = is_paused);
+    pub(super) fn pause(&self) {
+        self.change(|state| state.is_paused = true);
+    }
+
+    pub(super) fn resume(&self) {
+        self.change(|state| state.is_paused = false);
     }
 
     pub(super) fn is_paused(&self) -> bool {
@@ -124,13 +136,15 @@ impl Timeline {
         self.bell.ring();
     }
 
-    /// A camera is armed; time begins anew if the other is not.
-    pub(super) fn arm(&self, channel: Channel) {
+    /// A camera is armed; time begins anew if the other is not. Gives the number of the run.
+    pub(super) fn arm(&self, channel: Channel) -> u64 {
         let mut state = self.lock();
         if state.cameras[channel.other().index()] != Armed::Yes {
             state.anchor = None;
         }
         state.cameras[channel.index()] = Armed::Yes;
+        state.runs[channel.index()] += 1;
+        state.runs[channel.index()]
     }
 
     /// A camera is stopped: frames due until now are finished.
@@ -148,8 +162,11 @@ impl Timeline {
     }
 
     /// When a frame at this position of the recording may go out, in nanoseconds from its begin.
-    pub(super) fn due(&self, channel: Channel, position_ns: u64, now: HostTime) -> Due {
+    pub(super) fn due(&self, (channel, run): (Channel, u64), position_ns: u64, now: HostTime) -> Due {
         let mut state = self.lock();
+        if state.runs[channel.index()] != run {
+            return Due::Never;
+        }
         let anchor = *state.anchor.get_or_insert((now, 0.0));
         let position = position_ns as f64;
         match state.cameras[channel.index()] {

@@ -71,6 +71,9 @@ fn frames_that_dcimg_has_not_are_gaps_also_at_the_begin() {
             assert_eq!(seen.iter().map(|info| info.exposure.0).collect::<Vec<_>>(), exposures);
         }
         assert_eq!(replay(&paths, ReplayOptions::default()).info.exposures, 16);
+        let counted = raw(folder.path(), "r", Channel::Reflected, FRAMES as u64, false);
+        let said = open(&[counted, paths[1].clone()], ReplayOptions::default()).unwrap_err().to_string();
+        assert!(said.contains("lost 1 frames"), "{said}");
         // Numbers that do not rise, and two cameras that did not start together.
         files[1].stamps[5].0 = files[1].stamps[4].0;
         let paths = dcimg_pair(folder.path(), files.clone());

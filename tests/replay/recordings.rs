@@ -159,3 +159,19 @@ fn a_camera_takes_what_was_recorded_and_nothing_else() {
         assert!(error.to_string().contains("camera T (replay of C13440-20CU, S/N T1)"), "{error}");
     }
 }
+
+#[test]
+fn a_stream_of_before_stays_at_its_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run");
+    recording(&path, Format::OmeTiff, 30);
+    let mut replay = replay(&[path], ReplayOptions::default());
+    let camera = &mut replay.cameras[0];
+    let mut before = armed(camera);
+    let mut counts = vec![0; LEN];
+    before.next_frame(&mut counts, Duration::ZERO).unwrap();
+    camera.stop().unwrap();
+    let mut now = armed(camera);
+    assert_eq!(before.next_frame(&mut counts, Duration::ZERO).unwrap_err().kind(), ErrorKind::Ended);
+    assert_eq!(now.next_frame(&mut counts, Duration::ZERO).unwrap().exposure.0, 0);
+}

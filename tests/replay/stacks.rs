@@ -6,7 +6,8 @@ use sofiscope::replay::{ReplayOptions, open};
 use sofiscope_hal::{Camera, Channel};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use tiff::encoder::{TiffEncoder, colortype::Gray16};
+use tiff::encoder::TiffEncoder;
+use tiff::encoder::colortype::{Gray16, Gray32Float};
 
 fn stack(path: &Path, channel: Channel, frames: usize, side: usize, interval: Option<Duration>) -> PathBuf {
     let header = StackHeader {
@@ -75,6 +76,20 @@ fn two_stacks_are_replayed_page_by_page() {
 }
 
 #[test]
+fn a_period_that_one_file_says_holds_for_both() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name| folder.path().join(name);
+    let r = stack(&path("r.tif"), Channel::Reflected, 3, 16, None);
+    let t = stack(&path("t.tif"), Channel::Transmitted, 3, 16, Some(PERIOD));
+    assert_even(&[r.clone(), t.clone()], PERIOD, 3);
+    let other = stack(&path("other.tif"), Channel::Reflected, 3, 16, Some(2 * PERIOD));
+    let said = open(&[other, t], ReplayOptions::default()).unwrap_err().to_string();
+    assert!(said.contains("differ in period"), "{said}");
+    let unknown = replay(&[r.clone(), r], ReplayOptions::default()).info;
+    assert!(unknown.is_period_assumed);
+}
+
+#[test]
 fn two_channels_of_one_file_are_replayed() {
     let folder = tempfile::tempdir().unwrap();
     let path = hyperstack(&folder.path().join("both.tif"), 2, 9);
@@ -96,6 +111,10 @@ fn what_cannot_be_replayed_is_refused_with_the_next_step() {
     assert!(said(&[r.clone(), wide]).contains("differ in size"));
     assert!(said(&[r.clone(), both]).contains("2 channels"));
     assert!(said(&[three]).contains("channels"));
+    let mut encoder = TiffEncoder::new(std::fs::File::create(path("float.tif")).unwrap()).unwrap();
+    encoder.write_image::<Gray32Float>(SIDE, SIDE, &vec![1.5; LEN]).unwrap();
+    let float = said(&[r.clone(), path("float.tif")]);
+    assert!(float.contains("16-bit counts") && float.contains("analyze"), "{float}");
     assert!(said(&[]).contains("0 paths"));
     assert!(said(&[folder.path().to_path_buf()]).contains("recording.json"));
     assert!(said(&[path("none.tif")]).contains("does not exist"));
