@@ -243,14 +243,18 @@ fn planes(path: &Path) -> Vec<Vec<u32>> {
 fn the_demo_ends_with_one_object_for_scripts() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("demo");
-    let printed = said(&sofiscope(&["demo", "--frames", "400", "--json", "--out", text(&out)], &[]));
+    let printed =
+        said(&sofiscope(&["demo", "--frames", "400", "--speed", "0", "--json", "--out", text(&out)], &[]));
     let ended: Value = serde_json::from_str(&printed).unwrap();
     for (key, value) in [("frames_received", 800), ("pairs", 400), ("pairs_analyzed", 400)] {
         assert_eq!(ended[key], value, "{key}");
     }
     assert!(ended["frames_recorded"].is_u64() && ended["frames_lost"].is_object());
     assert!(ended.as_object().unwrap().contains_key("recording"));
-    assert_eq!(ended["results"].as_str(), Some(text(&out)));
-    assert!(out.join("linearized.ome.tif").is_file() && out.join("report.html").is_file());
+    let results = out.join("results");
+    assert_eq!(ended["results"].as_str(), Some(text(&results)));
+    assert_eq!(ended["recording"].as_str(), Some(text(&out)));
+    assert_eq!(ended["frames_recorded"], 800);
+    assert!(results.join("linearized.ome.tif").is_file() && results.join("report.html").is_file());
     assert_eq!(names(folder.path()), ["demo"]);
 }

@@ -263,6 +263,7 @@ fn pixels(path: &Path) -> Result<Vec<f32>, AppError> {
     let mut all = Vec::new();
     for channel in 0..info.channels {
         stack.select_channel(channel)?;
+        stack.seek(0)?;
         let mut page = vec![0.0; info.height * info.width];
         while stack.read_values(&mut page)? {
             all.extend_from_slice(&page);
