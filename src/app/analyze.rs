@@ -220,9 +220,7 @@ fn source(stacks: &[ImageStack]) -> Result<Source, AppError> {
         frames: first.frames as u64,
         pixel_pitch_nm: first.pixel_size_nm.map(|[x, _]| x),
         exposure_ms: first.frame_interval.map(|interval| interval.as_secs_f64() * 1e3),
-        simulated: stacks
-            .iter()
-            .all(|stack| stack.info().channel_names.iter().any(|n| n.contains("simulated"))),
+        simulated: stacks.iter().all(|stack| stack.info().is_simulated()),
         species: None,
     })
 }

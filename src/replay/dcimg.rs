@@ -134,6 +134,7 @@ pub(super) fn open(path: &Path, period: Option<Duration>) -> Result<Opened, Repl
         period: known,
         pixel_size_nm: None,
         saturation_counts: if layout.bytes_per_pixel == 1 { 255 } else { u16::MAX },
+        simulated: false,
         kind: "dcimg",
         source: Box::new(DcimgFrames { file, layout, rows, first, last, is_stamped, period_ns }),
     })

@@ -190,6 +190,7 @@ fn recording(directory: &Path) -> Result<Parts, ReplayError> {
         period: Some(info.period),
         pixel_size_nm: info.pixel_size_nm,
         saturation_counts: u16::MAX,
+        simulated: recorded.simulated,
         kind: "recording",
     });
     Ok(Parts { opened, origins: [0; 2], identities, settings, info })
@@ -215,7 +216,7 @@ fn files(reflected: Opened, transmitted: Opened, options: &ReplayOptions) -> Res
         period: period.unwrap_or(PERIOD_UNKNOWN),
         is_period_assumed: period.is_none(),
         pixel_size_nm: reflected.pixel_size_nm.or(transmitted.pixel_size_nm),
-        simulated: false,
+        simulated: opened.iter().any(|opened| opened.simulated),
         left_out: BTreeSet::new(),
         provenance: Vec::new(),
         description: if reflected.path == transmitted.path {
@@ -238,7 +239,7 @@ fn files(reflected: Opened, transmitted: Opened, options: &ReplayOptions) -> Res
             model: format!("replay of {name}"),
             serial: format!("REPLAY-{}", channel.letter()),
             firmware: env!("CARGO_PKG_VERSION").to_owned(),
-            simulated: false,
+            simulated: opened[channel.index()].simulated,
         }
     });
     Ok(Parts { opened, origins, identities, settings: [settings; 2], info })

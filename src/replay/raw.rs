@@ -76,6 +76,7 @@ pub(super) fn open(path: &Path, period: Option<Duration>) -> Result<Opened, Repl
         period: known,
         pixel_size_nm: header.pixel_size_nm,
         saturation_counts: if header.sample == Sample::Byte { 255 } else { u16::MAX },
+        simulated: false,
         kind: "raw",
         source: Box::new(RawFrames { file, header, even }),
     })

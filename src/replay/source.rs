@@ -77,6 +77,8 @@ pub(super) struct Opened {
     pub(super) period: Option<Duration>,
     pub(super) pixel_size_nm: Option<f64>,
     pub(super) saturation_counts: u16,
+    /// True when the file says that no physical camera made it.
+    pub(super) simulated: bool,
     /// The kind of file, for people.
     pub(super) kind: &'static str,
 }

@@ -76,6 +76,7 @@ pub(super) fn open(path: &Path, period: Option<Duration>) -> Result<Vec<Opened>,
         period: known,
         pixel_size_nm: info.pixel_size_nm.map(|[width, _]| width),
         saturation_counts: if info.sample == SampleType::Uint8 { 255 } else { u16::MAX },
+        simulated: info.is_simulated(),
         kind: "TIFF",
     });
     Ok(opened.collect())

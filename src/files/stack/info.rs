@@ -62,6 +62,14 @@ pub struct StackInfo {
 }
 
 impl StackInfo {
+    /// Whether the file says that its frames come from no physical camera.
+    #[must_use]
+    pub fn is_simulated(&self) -> bool {
+        self.channel_names.iter().any(|name| name.contains("simulated"))
+    }
+}
+
+impl StackInfo {
     /// Memory for one frame, filled with zeros.
     pub fn buffer(&self) -> FrameBuffer {
         let len = self.height * self.width;

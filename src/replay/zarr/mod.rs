@@ -53,6 +53,7 @@ pub(super) fn open(directory: &Path, period: Option<Duration>) -> Result<Vec<Ope
                 period: known,
                 pixel_size_nm: layout.pixel_size_nm,
                 saturation_counts: if layout.bytes_per_pixel == 1 { 255 } else { u16::MAX },
+                simulated: false,
                 kind: "Zarr",
                 source: Box::new(source),
             })
