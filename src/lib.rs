@@ -2,12 +2,16 @@
 //!
 //! ```text
 //! cameras ─► pairing ─► registration ─► cumulants ─► unmixing ─► flattening ─► linearization ─► picture
-//! drivers    files                      sofi         sofi        sofi          sofi             display
+//! drivers    acquisition                sofi         sofi        sofi          sofi             display
 //!                                       └────────────── reconstruction ──────────────┘         report
 //! ```
 //!
 //! | room | what happens there |
 //! |---|---|
+//! | [`pipeline`] | queues, the latest value, threads; no physics |
+//! | [`acquisition`] | cameras to frame pairs, and the books of both |
+//! | [`recording`] | every exposure to disk or listed as lost, and back |
+//! | [`control`] | plans, and the one hand that carries them out |
 //! | [`files`] | image stacks in, result images out |
 //! | [`replay`] | recorded frames through cameras that are none, into the same pipeline |
 //! | [`sofi`] | the mathematics, one file per step of the paper |
