@@ -9,8 +9,8 @@
 //!   So no timeout hides a ring that was lost.
 
 use loom::cell::UnsafeCell;
-use loom::sync::atomic::{AtomicBool, Ordering};
 use loom::sync::Mutex;
+use loom::sync::atomic::{AtomicBool, Ordering};
 use std::cell::Cell;
 use std::fmt::{self, Debug, Formatter};
 use std::sync::OnceLock as Storage;

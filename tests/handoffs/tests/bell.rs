@@ -22,8 +22,7 @@ fn ringers_and_one_who_waits(ringers: usize) {
             bell.ring();
         });
     }
-    let waiting =
-        thread::spawn(move || bell.wait_until(LONG, || ready.load(Ordering::Acquire) == ringers));
+    let waiting = thread::spawn(move || bell.wait_until(LONG, || ready.load(Ordering::Acquire) == ringers));
     waiting.join().unwrap();
 }
 
