@@ -1,7 +1,5 @@
 //! Who waits at a queue learns of every value, of room, and that the other side is gone.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use loom::thread;
 use sofiscope_handoffs::explore::explore;
 use sofiscope_handoffs::{Bell, Producer, Received, Refused, RingBuffer, WhenFull, bounded};

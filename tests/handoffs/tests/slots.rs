@@ -118,7 +118,7 @@ fn a_count_of_references_alone_is_no_proof() {
 }
 
 #[test]
-#[should_panic]
+#[should_panic(expected = "Causality violation")]
 fn a_pool_that_goes_round_without_looking_is_caught() {
     explore("going round", None, || {
         let writing = thread::spawn(|| {
