@@ -139,7 +139,9 @@ mod tests {
         for (name, slots, places, behind) in cases {
             let [short, long] = SHORT_AND_LONG.map(|exposures| grab(exposures, slots, places, behind));
             println!("{name}: {:?} for {} frames and more", long.0, long.1);
-            assert_eq!(short.0, long.0, "{name}");
+            // What it gives back differs: whoever is last to hold a queue frees it.
+            let taken = |info: AllocationInfo| (info.count_total, info.bytes_total, info.bytes_max);
+            assert_eq!(taken(short.0), taken(long.0), "{name}");
             assert!(long.0.count_total < 10, "{name}: {:?}", long.0);
             assert!(long.1 >= places.min(slots) as u64, "{name}");
         }
