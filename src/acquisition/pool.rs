@@ -3,9 +3,9 @@
 //! In: the number and size of frames, once. Out: [`FrameMemory`] to write into, [`Frame`]s to read.
 //! Never: allocates after [`FramePool::new`], locks, waits. Fails: `None` when every slot is out on loan.
 //!
-//! The pool keeps one reference to each slot. A slot whose only reference is the pool's can be written again,
-//! so a frame needs no way back: the last reader that drops its [`Frame`] has returned the memory.
+//! A frame needs no way back: the last reader that drops its [`Frame`] has returned the memory, see [`Slots`].
 
+use crate::pipeline::{Loan, Slots};
 use bytemuck::{cast_slice, cast_slice_mut};
 #[cfg(target_os = "linux")]
 use memmap2::Advice;
@@ -98,30 +98,25 @@ impl Frame {
 
 /// A slot that nobody else holds, to be written.
 #[derive(Debug)]
-pub struct FrameMemory<'a>(&'a mut Arc<Slot>);
+pub struct FrameMemory<'a>(Loan<'a, Slot>);
 
 impl FrameMemory<'_> {
     /// The memory for the pixels, row by row.
     pub fn counts_mut(&mut self) -> &mut [u16] {
-        let slot = Arc::get_mut(self.0).expect("the pool lends a slot only while nobody else holds it");
-        slot.counts_mut()
+        self.0.get_mut().counts_mut()
     }
 
     /// Makes what was written a frame.
     #[must_use]
-    pub fn into_frame(self, facts: FrameFacts) -> Frame {
-        let slot = Arc::get_mut(self.0).expect("the pool lends a slot only while nobody else holds it");
-        slot.facts = Some(facts);
-        Frame(Arc::clone(self.0))
+    pub fn into_frame(mut self, facts: FrameFacts) -> Frame {
+        self.0.get_mut().facts = Some(facts);
+        Frame(self.0.share())
     }
 }
 
 /// Slots of equal size.
 #[derive(Debug)]
-pub struct FramePool {
-    slots: Vec<Arc<Slot>>,
-    next: usize,
-}
+pub struct FramePool(Slots<Slot>);
 
 impl FramePool {
     /// A pool of `slots` frames of `pixels` pixels, its memory written once so that it is really there.
@@ -129,30 +124,25 @@ impl FramePool {
     /// # Errors
     /// What the system says when it has not that much memory.
     pub fn new(slots: usize, pixels: usize) -> std::io::Result<Self> {
-        let slots = (0..slots).map(|_| Slot::new(pixels).map(Arc::new)).collect::<Result<_, _>>()?;
-        Ok(Self { slots, next: 0 })
+        let slots = (0..slots).map(|_| Slot::new(pixels)).collect::<Result<_, _>>()?;
+        Ok(Self(Slots::new(slots)))
     }
 
     /// Frames that the pool can hold.
     #[must_use]
     pub fn capacity(&self) -> usize {
-        self.slots.len()
+        self.0.capacity()
     }
 
     /// A slot that nobody holds; `None` when all are out.
     pub fn take(&mut self) -> Option<FrameMemory<'_>> {
-        let slots = self.slots.len();
-        let free = (0..slots)
-            .map(|step| (self.next + step) % slots)
-            .find(|&slot| Arc::get_mut(&mut self.slots[slot]).is_some())?;
-        self.next = (free + 1) % slots;
-        Some(FrameMemory(&mut self.slots[free]))
+        self.0.take().map(FrameMemory)
     }
 
     /// Frames out on loan at this moment.
     #[must_use]
     pub fn lent(&self) -> usize {
-        self.slots.iter().filter(|slot| Arc::strong_count(slot) > 1).count()
+        self.0.lent()
     }
 }
 

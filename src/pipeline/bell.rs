@@ -3,10 +3,12 @@
 //! In: rings from any thread. Out: the waiting thread looks again.
 //! Never: loses a ring between looking and sleeping: a ring before the sleep makes the sleep return at once.
 //! Fails: not at all; a ring without anybody waiting does nothing.
+//!
+//! `tests/handoffs` runs this file through all interleavings of its threads.
 
-use std::sync::{Arc, OnceLock};
-use std::thread::{self, Thread};
-use std::time::{Duration, Instant};
+use super::sync::{Arc, Instant, OnceLock, Thread, fence, thread};
+use std::sync::atomic::Ordering;
+use std::time::Duration;
 
 /// A bell that one thread listens to and many may ring.
 #[derive(Debug, Clone, Default)]
@@ -17,6 +19,9 @@ pub struct Bell {
 impl Bell {
     /// Wakes the listener, or keeps it from falling asleep.
     pub fn ring(&self) {
+        // What was made ready is seen before the listener is looked for; else, both sides could see the past:
+        // the listener nothing ready, and this thread nobody listening.
+        fence(Ordering::SeqCst);
         if let Some(listener) = self.listener.get() {
             listener.unpark();
         }
@@ -30,6 +35,7 @@ impl Bell {
         // First listen, then look: who makes something ready after the look finds a listener to ring for.
         let me = thread::current();
         assert_eq!(self.listener.get_or_init(|| me.clone()).id(), me.id(), "a bell has one listener");
+        fence(Ordering::SeqCst);
         let begun = Instant::now();
         loop {
             if ready() {
@@ -46,7 +52,7 @@ impl Bell {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::atomic::{AtomicU64, Ordering};
+    use std::sync::atomic::AtomicU64;
 
     #[test]
     fn no_ring_is_lost() {

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! sender ─► queue (wait-free ring, one sender, one receiver) ─► receiver, woken by its Bell
+//! writer ─► Slots (memory on loan) ─► readers; the last one gives it back
 //! publisher ─► Latest (wait-free, newest value wins) ─► viewer
 //! ```
 //!
@@ -12,9 +13,12 @@
 mod bell;
 mod latest;
 mod queue;
+mod slots;
 mod stage;
+mod sync;
 
 pub use bell::Bell;
 pub use latest::{Publisher, Viewer, latest};
 pub use queue::{Received, Receiver, Refused, Sender, WhenFull, bounded};
+pub use slots::{Loan, Slots};
 pub use stage::{Stage, StagePanicked, spawn};
