@@ -1,6 +1,5 @@
 //! Runs of the simulated microscope, their recordings, and the same bits again by replay and by analysis.
 
-#![cfg(test)]
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use serde_json::Value;

@@ -90,7 +90,7 @@ pub fn fourier_ring_correlation(
 ///
 /// What is left of unequal weights repeats the coarse structure around the corners of the spectrum, in both halves
 /// alike, and would pass for fine structure: a mismatch of one percent is enough where the signal is strong.
-/// The factors make the power that both halves share beyond [`EMPTY_FROM`] least (least squares, free of the noise
+/// The factors make the power that both halves share beyond `EMPTY_FROM` least (least squares, free of the noise
 /// of either half). `None` where that does not say what they are.
 #[must_use]
 pub fn balance_sub_grids(
