@@ -161,6 +161,8 @@ fn check_tells_kinds_apart_and_accepts_what_ships() {
         ("scenes/cell.toml", "scene"),
         ("fluorophores.toml", "fluorophores"),
         ("dichroics.toml", "dichroics"),
+        ("simulated.toml", "instrument"),
+        ("plans/quick-look.yaml", "plan"),
     ] {
         let output = sofiscope(&["check", text(&config.join(file)), "--json"]);
         assert!(output.status.success(), "{}", stderr(&output));

@@ -1,17 +1,18 @@
 //! `check`: all faults of a file of settings at once, each with its line and what to do.
 //!
-//! In: a scene, a catalogue of fluorophores or one of dichroics. Out: its kind and its faults.
+//! In: a plan, an instrument, a scene, a scenario of faults, a catalogue of fluorophores or one of dichroics. Out: its kind and its faults.
 //! Never: changes the file, stops at the first fault. Fails: [`AppError`] when there is a fault, so that scripts see it.
 
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use sofiscope_sim::Scene;
+use sofiscope_sim::{Scenario, Scene};
 use toml::de::DeTable;
 
 use super::AppError;
 use super::text_file::read_text;
-use crate::config::{Catalogue, Fault, nearest};
+use crate::config::{Catalogue, Fault, Instrument, nearest};
+use crate::control::plan::Plan;
 
 /// A file of settings is refused unread above this size.
 const MAX_BYTES: u64 = 4 << 20;
@@ -24,7 +25,7 @@ struct Kind {
     faults: fn(&Path, &str) -> Vec<Fault>,
 }
 
-const KINDS: [Kind; 3] = [
+const KINDS: [Kind; 5] = [
     Kind {
         name: "scene",
         keys: &[
@@ -45,18 +46,36 @@ const KINDS: [Kind; 3] = [
         faults: |_, text| Catalogue::faults_of_fluorophores(text),
     },
     Kind { name: "dichroics", keys: &["dichroic"], faults: dichroic_faults },
+    Kind {
+        name: "instrument",
+        keys: &["version", "name", "pixel_pitch_nm", "camera", "trigger", "limits", "simulation"],
+        faults: |_, text| Instrument::from_toml(text).err().map_or_else(Vec::new, |error| error.faults),
+    },
+    Kind {
+        name: "scenario",
+        keys: &["faults", "pace", "speed", "exposures"],
+        faults: |_, text| scenario_faults(text),
+    },
 ];
+
+/// Plans are YAML or JSON and told by the ending of their name.
+const PLAN: Kind = Kind {
+    name: "plan",
+    keys: &[],
+    faults: |_, text| Plan::from_text(text).err().map_or_else(Vec::new, |error| error.faults),
+};
 
 /// Arguments of `check`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   sofiscope check config/scenes/cell.toml
+  sofiscope check plan.yaml
   sofiscope check my-dichroics.toml --json
 
 Exit code 0 without a fault, 2 with any. A file of dichroics is checked against the fluorophores.toml beside it,
 or against the built-in fluorophores if there is none.")]
 pub struct CheckArguments {
-    /// Scene file, fluorophores file or dichroics file
+    /// Plan, instrument, scene, scenario, fluorophores or dichroics file
     file: PathBuf,
     /// Print one object on stdout
     #[arg(long)]
@@ -68,7 +87,7 @@ pub struct CheckArguments {
 pub struct Findings {
     /// The file.
     pub file: PathBuf,
-    /// Its kind: `scene`, `fluorophores` or `dichroics`; `None` if it cannot be told.
+    /// Its kind: `plan`, `instrument`, `scene`, `scenario`, `fluorophores` or `dichroics`; `None` if it cannot be told.
     pub kind: Option<&'static str>,
     /// True without any fault.
     pub valid: bool,
@@ -82,7 +101,8 @@ pub struct Findings {
 /// A usage error when it cannot be read as text; its faults are no error here.
 pub fn check(file: &Path) -> Result<Findings, AppError> {
     let text = read_text(file, MAX_BYTES)?;
-    let kind = kind_of(&text);
+    let is_plan = file.extension().is_some_and(|ending| ["yaml", "yml", "json"].iter().any(|e| ending == *e));
+    let kind = if is_plan { Some(&PLAN) } else { kind_of(&text) };
     let faults = match kind {
         Some(kind) => (kind.faults)(file, &text),
         None => unknown_kind(&text),
@@ -163,7 +183,8 @@ fn unknown_kind(text: &str) -> Vec<Fault> {
         faults.push(Fault {
             line: None,
             key: String::new(),
-            message: "the file is neither a scene nor a list of fluorophores or dichroics".to_owned(),
+            message: "the file is no scene, instrument, scenario or list of fluorophores or dichroics"
+                .to_owned(),
             remedy: near.unwrap_or_else(|| {
                 "a scene has `[[species]]`, fluorophores `[[fluorophore]]`, dichroics `[[dichroic]]`"
                     .to_owned()
@@ -174,16 +195,21 @@ fn unknown_kind(text: &str) -> Vec<Fault> {
 }
 
 fn scene_faults(text: &str) -> Vec<Fault> {
-    let Err(error) = Scene::from_toml(text) else {
-        return Vec::new();
-    };
-    let faults = error.faults.into_iter().map(|fault| Fault {
+    Scene::from_toml(text).err().map_or_else(Vec::new, |error| of_simulator(error.faults))
+}
+
+fn scenario_faults(text: &str) -> Vec<Fault> {
+    Scenario::from_toml(text).err().map_or_else(Vec::new, |error| of_simulator(error.faults))
+}
+
+fn of_simulator(faults: Vec<sofiscope_sim::Fault>) -> Vec<Fault> {
+    let fault = |fault: sofiscope_sim::Fault| Fault {
         line: fault.line,
         key: fault.key,
         message: fault.message,
         remedy: fault.remedy,
-    });
-    faults.collect()
+    };
+    faults.into_iter().map(fault).collect()
 }
 
 /// Checks dichroics against the fluorophores beside them, or the built-in ones; faults of these come first.

@@ -3,7 +3,8 @@
 //! In: ids and device times in the order of delivery. Out: [`ExposureIndex`] and [`Epoch`].
 //! Never: guesses silently; an id that fits no rule is an error. Fails: [`NumberingError`].
 //!
-//! An id that is ahead by less than half of a turn is a later exposure, with everything between them missing.
+//! An id that is ahead by less than half of a turn is a later exposure, with everything between them missing,
+//! unless it is far ahead and the camera's clock says otherwise.
 //! An id that is behind by at most [`IdRule::reorder`] is an earlier exposure that comes late.
 //! Anything else is a restart of the counter: a new [`Epoch`], whose first exposure is placed by device time.
 
@@ -122,7 +123,8 @@ impl ExposureNumbering {
         };
         let turn = self.rule.turn();
         let ahead = self.ahead(newest.id, id.0);
-        if ahead < turn / 2 {
+        let elapsed_ns = time.nanoseconds_since(newest.time);
+        if ahead < turn / 2 && self.is_in_time(ahead, elapsed_ns) {
             let exposure = newest.exposure + ahead as u64;
             self.newest = Some(Newest { id: id.0, exposure, time });
             return Ok((ExposureIndex(exposure), self.epoch));
@@ -132,6 +134,16 @@ impl ExposureNumbering {
             return Ok((ExposureIndex(newest.exposure - behind as u64), self.epoch));
         }
         self.restart(newest, id, time)
+    }
+
+    /// Whether a gap of so many ids took about as long as so many exposures; short gaps are always believed,
+    /// as clocks may step and triggers may be missed.
+    fn is_in_time(&self, ahead: u128, elapsed_ns: i64) -> bool {
+        if ahead <= u128::from(self.rule.reorder) {
+            return true;
+        }
+        let due_ns = ahead as f64 * self.period.as_nanos() as f64;
+        (elapsed_ns as f64 - due_ns).abs() <= due_ns / 2.0
     }
 
     /// Ids from `from` to `to` along the counter, 0 to a turn.
@@ -205,6 +217,15 @@ mod tests {
         let found = numbering.exposure_of(BlockId(0), at(1012));
         assert_eq!(found, Ok((ExposureIndex(1012), Epoch(1))));
         assert_eq!(numbering.exposure_of(BlockId(1), at(1013)), Ok((ExposureIndex(1013), Epoch(1))));
+    }
+
+    #[test]
+    fn a_restart_that_looks_like_a_gap_is_told_by_the_clock() {
+        let mut numbering = ExposureNumbering::new(IdRule::GIGE_VISION_16_BIT, PERIOD);
+        numbering.exposure_of(BlockId(40_000), at(0)).unwrap();
+        assert_eq!(numbering.exposure_of(BlockId(1), at(3)), Ok((ExposureIndex(3), Epoch(1))));
+        assert_eq!(numbering.exposure_of(BlockId(20), at(22)), Ok((ExposureIndex(22), Epoch(1))));
+        assert_eq!(numbering.exposure_of(BlockId(1020), at(1022)), Ok((ExposureIndex(1022), Epoch(1))));
     }
 
     #[test]
