@@ -34,7 +34,9 @@ impl Progress {
             Some(bar) => bar.inc(steps),
             None if self.last_line.elapsed() >= LINE_EVERY => {
                 self.last_line = Instant::now();
-                eprintln!("{}: {} of {} ({:.0} per second)", self.what, self.done, self.total, self.rate());
+                // Work without a certain end has no total.
+                let of = if self.total > 0 { format!(" of {}", self.total) } else { String::new() };
+                eprintln!("{}: {}{of} ({:.0} per second)", self.what, self.done, self.rate());
             }
             None => {}
         }

@@ -187,7 +187,7 @@ fn camera_checks(camera: &CameraFacts) -> Vec<Check> {
     let mut checks = vec![exposure(camera, &place), period(camera, &place), region(camera, &place)];
     checks.extend(camera.brightest_counts.map(|counts| saturation(camera, counts, &place)));
     if camera.simulated {
-        let found = "this camera is simulated; its frames show no sample".to_owned();
+        let found = "this camera is simulated; what it shows is computed".to_owned();
         checks.push(check(Outcome::Warn, "device", &place, found, "name a camera in the instrument file"));
     }
     checks
