@@ -4,28 +4,49 @@
 //! |---|---|
 //! | [`camera`] | [`Camera`], settings and read-back; [`FrameStream`], pixels into the caller's memory |
 //! | [`trigger`] | [`TriggerSource`], what starts the exposures of all cameras together |
+//! | [`stage`] | [`Stage`], the sample along x and y; [`StopMotion`], past every queue |
+//! | [`focus`] | [`FocusDrive`], the piezo; [`FocusSensor`], which sees the error |
+//! | [`laser`] | [`Laser`], with caps and read-back |
+//! | [`gate`] | [`GateController`], which lets the light through and never without somebody holding it |
+//! | [`property`] | [`Properties`], for the property browser |
+//! | [`identity`] | [`DeviceIdentity`], told by the device itself |
+//! | [`units`] | quantities with their unit, always finite |
 //! | [`numbering`] | raw frame ids to [`ExposureIndex`], at the driver's edge |
 //! | [`time`] | clocks that must never be mixed |
 //! | [`error`] | [`DeviceError`]: which device, what happened, what the caller can do |
-//! | [`conformance`] | what every camera driver must pass |
+//! | [`conformance`] | what every driver must pass |
 //!
 //! In: nothing. Out: types and traits. Never: talks to a device, starts a thread, reads a clock.
 
 pub mod camera;
 pub mod conformance;
 pub mod error;
+pub mod focus;
+pub mod gate;
+pub mod identity;
+pub mod laser;
 pub mod numbering;
+pub mod property;
+pub mod stage;
 pub mod time;
 pub mod trigger;
+pub mod units;
 
 pub use camera::{
     Camera, CameraCapabilities, CameraIdentity, CameraSettings, FrameInfo, FrameStatus, FrameStream, Region,
     TriggerMode,
 };
 pub use error::{DeviceError, ErrorKind};
+pub use focus::{FocusDrive, FocusReading, FocusSensor, Toward};
+pub use gate::{GateCapabilities, GateController, GatePattern, GateState, GateTrip};
+pub use identity::DeviceIdentity;
+pub use laser::{Emission, Interlock, Laser, LaserState};
 pub use numbering::{BlockId, Epoch, ExposureNumbering, IdRule};
+pub use property::{Properties, Property, PropertyRange, PropertyValue};
+pub use stage::{Motion, Stage, StageEnvelope, StagePoint, StopMotion};
 pub use time::{DeviceTime, HostTime};
 pub use trigger::TriggerSource;
+pub use units::{Celsius, Micrometers, MillimetersPerSecond, Milliwatts, Nanometers, NotFinite, Volts};
 
 use serde::{Deserialize, Serialize};
 
