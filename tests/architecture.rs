@@ -95,13 +95,37 @@ const ROOMS: [Room; 12] = [
 ];
 
 /// What the packages of `drivers/` may know of this workspace: contracts, never the program.
-const DRIVERS: [(&str, &[&str]); 2] = [("hal", &[]), ("sim", &["sofiscope_hal"])];
+const DRIVERS: [(&str, &[&str]); 17] = [
+    ("dcam", &["sofiscope_hal"]),
+    ("dcam-stand-in", &["sofiscope_hal", "sofiscope_sim", "sofiscope_virtual"]),
+    ("focus-sensor", &["sofiscope_hal", "sofiscope_virtual"]),
+    ("gated-laser", &["sofiscope_hal", "sofiscope_virtual"]),
+    ("gatekeeper", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
+    ("genicam", &["sofiscope_hal"]),
+    ("hal", &[]),
+    ("laserquantum-smd12", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
+    ("madlib", &["sofiscope_hal"]),
+    ("madlib-stand-in", &["sofiscope_virtual"]),
+    ("maerzhaeuser-tango", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
+    ("micromanager-arduino", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
+    ("micromanager-teensy-pulse", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
+    ("serial-line", &["sofiscope_hal"]),
+    ("sim", &["sofiscope_hal"]),
+    ("toptica-ibeam-smart", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
+    ("virtual", &["sofiscope_hal", "sofiscope_serial_line"]),
+];
 
 /// Files that may hold `unsafe` code, each with its reason.
-const UNSAFE: [(&str, &str); 1] = [(
-    "src/sofi/cumulant/prefetch.rs",
-    "the prefetch instruction has no safe form; it can neither fault nor change a value",
-)];
+const UNSAFE: [(&str, &str); 2] = [
+    (
+        "src/sofi/cumulant/prefetch.rs",
+        "the prefetch instruction has no safe form; it can neither fault nor change a value",
+    ),
+    (
+        "drivers/virtual/src/table/cells.rs",
+        "memory that several processes share has no safe form; all access is atomic",
+    ),
+];
 
 #[cfg(test)]
 mod tests {

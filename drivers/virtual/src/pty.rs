@@ -1,11 +1,14 @@
 //! A model behind a pseudo-terminal, in real time.
 
+use std::fs::{File, OpenOptions};
 use std::io;
 use std::io::{Read, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use rustix::fs::OFlags;
 use serialport::{SerialPort, TTYPort};
 use sofiscope_serial_line::LineModel;
 
@@ -17,7 +20,7 @@ const LONGEST_WAIT: Duration = Duration::from_millis(20);
 pub struct Terminal {
     ours: TTYPort,
     /// Held open so that its settings stay, and that reading from our end does not fail between two programs.
-    _theirs: TTYPort,
+    _theirs: File,
     link: PathBuf,
 }
 
@@ -27,9 +30,12 @@ impl Terminal {
     /// # Errors
     /// When the system gives none, or the name is taken.
     pub fn open(link: &Path) -> io::Result<Self> {
-        let (ours, mut theirs) = TTYPort::pair()?;
-        theirs.set_exclusive(false)?;
-        let name = theirs.name().ok_or_else(|| io::Error::other("a pseudo-terminal without a name"))?;
+        let (ours, locked) = TTYPort::pair()?;
+        let name = locked.name().ok_or_else(|| io::Error::other("a pseudo-terminal without a name"))?;
+        let no_control = i32::try_from(OFlags::NOCTTY.bits()).unwrap_or(0);
+        let theirs = OpenOptions::new().read(true).write(true).custom_flags(no_control).open(&name)?;
+        // Only now: without any open handle the terminal would forget that it is raw.
+        drop(locked);
         // A link that a killed device has left behind leads nowhere and is nobody's.
         if link.is_symlink() && !link.exists() {
             std::fs::remove_file(link)?;
@@ -93,6 +99,14 @@ mod tests {
         }
     }
 
+    /// Opens the terminal anew, says `text` and returns what comes back.
+    fn shouted(link: &Path, text: &str) -> Result<Vec<u8>, String> {
+        let mut line =
+            Line::open(link, LineSettings::new(9600), "shouting").map_err(|error| error.to_string())?;
+        line.send(format!("{text}\r").as_bytes()).map_err(|error| error.to_string())?;
+        line.receive_until(b"\r", Duration::from_secs(10)).map_err(|error| error.to_string())
+    }
+
     #[test]
     fn a_driver_talks_to_a_model_over_a_terminal() {
         let folder = tempfile::tempdir().unwrap();
@@ -101,13 +115,9 @@ mod tests {
         let over = AtomicBool::new(false);
         std::thread::scope(|scope| {
             scope.spawn(|| terminal.serve(&mut Shouting::default(), &over).unwrap());
-            let mut line = Line::open(&link, LineSettings::new(9600), "shouting").unwrap();
-            for text in ["hello", "again"] {
-                line.send(format!("{text}\r").as_bytes()).unwrap();
-                let answer = line.receive_until(b"\r", Duration::from_secs(10)).unwrap();
-                assert_eq!(answer, text.to_uppercase().as_bytes());
-            }
+            let answers = ["hello", "again"].map(|text| shouted(&link, text));
             over.store(true, Ordering::Relaxed);
+            assert_eq!(answers.map(Result::unwrap), [b"HELLO", b"AGAIN"]);
         });
         assert!(!link.is_symlink());
     }

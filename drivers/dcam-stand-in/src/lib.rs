@@ -1,0 +1,1 @@
+//! A library with the functions of DCAM-API and simulated cameras behind them.

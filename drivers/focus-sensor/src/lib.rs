@@ -1,0 +1,1 @@
+//! Sensors of the focus error: a spot on a camera, a quadrant detector.

@@ -1,0 +1,1 @@
+//! A library with the functions of Madlib and a simulated piezo behind them.

@@ -1,0 +1,1 @@
+//! Mad City Labs Nano-Drive through Madlib, opened at run time.

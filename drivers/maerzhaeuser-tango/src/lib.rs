@@ -1,0 +1,1 @@
+//! Märzhäuser TANGO stage controllers over a serial line.

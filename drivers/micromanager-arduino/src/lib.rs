@@ -1,0 +1,1 @@
+//! Trigger controllers that speak the Arduino protocol of Micro-Manager.

@@ -1,0 +1,1 @@
+//! The TeensyPulseGenerator of Micro-Manager, a clock for cameras.

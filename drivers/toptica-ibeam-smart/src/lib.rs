@@ -1,0 +1,1 @@
+//! Toptica iBEAM smart diode lasers over a serial line.
