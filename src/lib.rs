@@ -27,6 +27,7 @@ pub mod config;
 pub mod control;
 pub mod display;
 pub mod files;
+pub mod guard;
 pub mod pipeline;
 pub mod reconstruction;
 pub mod recording;

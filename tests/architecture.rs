@@ -21,7 +21,7 @@ struct Room {
 }
 
 /// The arrows that are allowed. A new arrow is a decision: it is made here, with its reason in the same change.
-const ROOMS: [Room; 12] = [
+const ROOMS: [Room; 13] = [
     // The mathematics knows nothing of the program: no file, no device, no log.
     Room {
         name: "sofi",
@@ -71,6 +71,13 @@ const ROOMS: [Room; 12] = [
         packages: &["sofiscope_hal"],
         crates: None,
     },
+    // A process of its own, which knows devices and nothing of the instrument.
+    Room {
+        name: "guard",
+        rooms: &[],
+        packages: &["sofiscope_hal"],
+        crates: Some(&["crossbeam_channel", "serde", "serde_json", "thiserror", "tracing"]),
+    },
     // Plans and the order of steps; devices only through their contracts.
     Room { name: "control", rooms: &["config"], packages: &["sofiscope_hal"], crates: None },
     // The composition root knows every room and is known by none; `main.rs` alone calls it.
@@ -82,6 +89,7 @@ const ROOMS: [Room; 12] = [
             "control",
             "display",
             "files",
+            "guard",
             "pipeline",
             "reconstruction",
             "recording",
