@@ -5,9 +5,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use sofiscope_hal::{BlockId, IdRule};
-
-use super::clock::{Clock, MonotonicClock};
+use sofiscope_hal::{BlockId, Clock, IdRule, MonotonicClock};
 
 /// How fast frames come.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -8,12 +8,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::time::Duration;
 
+use sofiscope_hal::clock::nanoseconds;
 use sofiscope_hal::{
     Channel, DeviceError, DeviceTime, ErrorKind, ExposureIndex, ExposureNumbering, FrameInfo, FrameStatus,
     FrameStream, HostTime, IdRule,
 };
 
-use super::clock::nanoseconds;
 use super::delivery::{Arrival, Delivery};
 use super::oracle::{IncidentKind, Record, SharedRecord};
 use super::schedule::{Outlook, Schedule, Timing};
