@@ -38,7 +38,7 @@ const ROOMS: [Room; 12] = [
     },
     Room { name: "report", rooms: &["display"], packages: &[], crates: None },
     // Instrument files name channels and regions in the words of the devices.
-    Room { name: "config", rooms: &["sofi"], packages: &["sofiscope_hal"], crates: None },
+    Room { name: "config", rooms: &["sofi"], packages: &["sofiscope_form", "sofiscope_hal"], crates: None },
     Room {
         name: "reconstruction",
         rooms: &["acquisition", "pipeline", "sofi"],
@@ -95,7 +95,8 @@ const ROOMS: [Room; 12] = [
 ];
 
 /// What the packages of `drivers/` may know of this workspace: contracts, never the program.
-const DRIVERS: [(&str, &[&str]); 2] = [("hal", &[]), ("sim", &["sofiscope_hal"])];
+const DRIVERS: [(&str, &[&str]); 3] =
+    [("form", &[]), ("hal", &[]), ("sim", &["sofiscope_form", "sofiscope_hal"])];
 
 /// Files that may hold `unsafe` code, each with its reason.
 const UNSAFE: [(&str, &str); 1] = [(
