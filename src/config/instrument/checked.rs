@@ -236,7 +236,7 @@ mod tests {
             assert!(lines.contains(&line), "{line}: {found:#?}");
         }
         assert!(found.iter().any(|fault| fault.contains("write `name`")), "{found:#?}");
-        assert!(found.iter().any(|fault| fault.contains("write \"simulated\"")), "{found:#?}");
+        assert!(found.iter().any(|fault| fault.contains("write `simulated`")), "{found:#?}");
         assert!(found.iter().any(|fault| fault.contains("write `exposure_ms`")), "{found:#?}");
     }
 

@@ -138,10 +138,12 @@ fn read_faults(form: &Form<'_>, faults: &mut CameraFaults) {
     whole("late_one_in", &mut faults.late_one_in, ONE_IN);
     whole("stall_at", &mut faults.stall_at, EXPOSURE);
     whole("die_at", &mut faults.die_at, EXPOSURE);
-    whole("id_restart_at", &mut faults.id_restart_at, 1000..=30_000);
-    for (key, exposures) in
-        [("wrong_size_at", &mut faults.wrong_size_at), ("missed_trigger_at", &mut faults.missed_trigger_at)]
-    {
+    whole("id_restart_at", &mut faults.id_restart_at, 1..=30_000);
+    for (key, exposures) in [
+        ("wrong_size_at", &mut faults.wrong_size_at),
+        ("missed_trigger_at", &mut faults.missed_trigger_at),
+        ("extra_trigger_at", &mut faults.extra_trigger_at),
+    ] {
         if let Some(found) = form.wholes_if_any(key, EXPOSURE) {
             *exposures = found;
         }
@@ -236,6 +238,7 @@ mod tests {
             incomplete_one_in = 100
             wrong_size_at = 5
             missed_trigger_at = [20, 10]
+            extra_trigger_at = 30
             stall_at = 900
             die_at = 950
             id_restart_at = 1500
@@ -260,6 +263,7 @@ mod tests {
                 incomplete_one_in: Some(100),
                 wrong_size_at: vec![5],
                 missed_trigger_at: vec![10, 20],
+                extra_trigger_at: vec![30],
                 stall_at: Some(900),
                 die_at: Some(950),
                 id_restart_at: Some(1500),
