@@ -240,7 +240,12 @@ mod tests {
     fn files_of_tests_are_known_by_their_declaration() {
         let room = Source::new("src/sofi/mod.rs", "#[cfg(test)]\nmod reference;\nmod psf;");
         let file = |path| Source::new(path, "fn f() { g().unwrap(); }");
-        let sources = [room, file("src/sofi/reference.rs"), file("src/sofi/psf.rs")];
+        let sources = [
+            room,
+            file("src/sofi/reference.rs"),
+            file("src/sofi/reference/fakes.rs"),
+            file("src/sofi/psf.rs"),
+        ];
         let findings = rules::unwraps(&sources);
         assert_eq!(findings.len(), 1);
         assert!(findings[0].starts_with("src/sofi/psf.rs:1"));
