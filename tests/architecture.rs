@@ -38,7 +38,7 @@ const ROOMS: [Room; 13] = [
     },
     Room { name: "report", rooms: &["display"], packages: &[], crates: None },
     // Instrument files name channels and regions in the words of the devices.
-    Room { name: "config", rooms: &["sofi"], packages: &["sofiscope_hal"], crates: None },
+    Room { name: "config", rooms: &["sofi"], packages: &["sofiscope_form", "sofiscope_hal"], crates: None },
     Room {
         name: "reconstruction",
         rooms: &["acquisition", "pipeline", "sofi"],
@@ -103,10 +103,11 @@ const ROOMS: [Room; 13] = [
 ];
 
 /// What the packages of `drivers/` may know of this workspace: contracts, never the program.
-const DRIVERS: [(&str, &[&str]); 17] = [
+const DRIVERS: [(&str, &[&str]); 18] = [
     ("dcam", &["sofiscope_hal"]),
     ("dcam-stand-in", &["sofiscope_hal", "sofiscope_sim", "sofiscope_virtual"]),
     ("focus-sensor", &["sofiscope_hal", "sofiscope_virtual"]),
+    ("form", &[]),
     ("gated-laser", &["sofiscope_hal", "sofiscope_virtual"]),
     ("gatekeeper", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
     ("genicam", &["sofiscope_hal"]),
@@ -118,7 +119,7 @@ const DRIVERS: [(&str, &[&str]); 17] = [
     ("micromanager-arduino", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
     ("micromanager-teensy-pulse", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
     ("serial-line", &["sofiscope_hal"]),
-    ("sim", &["sofiscope_hal"]),
+    ("sim", &["sofiscope_form", "sofiscope_hal"]),
     ("toptica-ibeam-smart", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
     ("virtual", &["sofiscope_hal", "sofiscope_serial_line"]),
 ];
@@ -271,7 +272,12 @@ mod tests {
     fn files_of_tests_are_known_by_their_declaration() {
         let room = Source::new("src/sofi/mod.rs", "#[cfg(test)]\nmod reference;\nmod psf;");
         let file = |path| Source::new(path, "fn f() { g().unwrap(); }");
-        let sources = [room, file("src/sofi/reference.rs"), file("src/sofi/psf.rs")];
+        let sources = [
+            room,
+            file("src/sofi/reference.rs"),
+            file("src/sofi/reference/fakes.rs"),
+            file("src/sofi/psf.rs"),
+        ];
         let findings = rules::unwraps(&sources);
         assert_eq!(findings.len(), 1);
         assert!(findings[0].starts_with("src/sofi/psf.rs:1"));

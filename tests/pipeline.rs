@@ -12,8 +12,8 @@ mod tests {
     use crate::rig::{Outcome, Rates, exposures, run};
     use sofiscope::acquisition::Loss;
     use sofiscope_hal::Channel;
-    use sofiscope_sim::InstrumentSettings;
     use sofiscope_sim::instrument::{Bursts, CameraFaults};
+    use sofiscope_sim::{InstrumentSettings, Scenario};
 
     const SEEDS: [u64; 3] = [1, 2, 3];
 
@@ -106,7 +106,7 @@ mod tests {
     #[test]
     fn everything_too_slow_is_still_accounted() {
         for seed in SEEDS {
-            let rates = Rates { analysis: Some(1.5), recording: Some(1.5) };
+            let rates = Rates { analysis: Some(1.5), recording: Some(1.5), ..Rates::default() };
             assert_accounted(&run(unkind(seed), rates), "both too slow");
         }
     }
@@ -121,5 +121,71 @@ mod tests {
         assert_eq!(outcome.accounts.balance(), Ok(()));
         assert_eq!(outcome.accounts.pairs, exposures() - 3);
         assert_eq!(outcome.missed_triggers, 3);
+    }
+
+    #[test]
+    fn extra_triggers_cost_few_pairs_and_make_none_wrong() {
+        let scenario = "[faults.reflected]\nextra_trigger_at = [1000, 1003, 40000]\n\
+                        [faults.transmitted]\nextra_trigger_at = 20000\nmissed_trigger_at = 30000\n";
+        let outcome = run(Scenario::from_toml(scenario).unwrap().into_settings(), Rates::default());
+        assert_eq!(outcome.accounts.balance(), Ok(()));
+        assert_eq!(outcome.wrong_pairs, 0);
+        assert!(outcome.accounts.pairs >= exposures() - 10, "{} pairs", outcome.accounts.pairs);
+        assert_eq!((outcome.extra_triggers, outcome.missed_triggers), (4, 1));
+        let extra: u64 = outcome.accounts.cameras.iter().map(|camera| camera.extra).sum();
+        assert_eq!(extra, Channel::BOTH.map(|channel| outcome.oracle.extra(channel)).iter().sum::<u64>());
+    }
+
+    #[test]
+    fn extra_triggers_among_lost_and_shuffled_frames_make_no_pair_wrong() {
+        for seed in SEEDS {
+            let mut settings = unkind(seed);
+            let slips = |from: u64| (from..exposures()).step_by(5_000).collect();
+            settings.cameras[0].faults.extra_trigger_at = slips(2_500);
+            settings.cameras[1].faults.extra_trigger_at = slips(4_000);
+            settings.cameras[1].faults.missed_trigger_at = slips(1_000);
+            let outcome = run(settings, Rates::default());
+            assert_eq!(outcome.accounts.balance(), Ok(()));
+            assert_eq!(outcome.wrong_pairs, 0);
+            let whole = run(unkind(seed), Rates::default()).accounts.pairs;
+            assert!(outcome.accounts.pairs + 20 * 60 > whole, "{} of {whole}", outcome.accounts.pairs);
+        }
+    }
+
+    #[test]
+    fn a_counter_that_restarts_soon_after_arming_loses_nothing() {
+        for (at, counter) in [(1, "16-bit"), (5, "64-bit"), (63, "16-bit"), (64, "64-bit")] {
+            let scenario =
+                format!("[camera]\ncounter = \"{counter}\"\n[faults.transmitted]\nid_restart_at = {at}\n");
+            let outcome = run(Scenario::from_toml(&scenario).unwrap().into_settings(), Rates::default());
+            assert_accounted(&outcome, "counter restart");
+            assert_eq!(outcome.accounts.pairs, exposures());
+        }
+    }
+
+    #[test]
+    fn a_slow_preview_costs_neither_analysis_nor_recording_a_frame() {
+        for seed in SEEDS {
+            let outcome = run(unkind(seed), Rates { preview: Some(1.5), ..Rates::default() });
+            assert_accounted(&outcome, "preview too slow");
+            assert!(outcome.previews_skipped > 0, "a preview that keeps up is not too slow");
+            assert_eq!(outcome.previews_shown + outcome.previews_skipped, outcome.analyzed);
+            assert!(outcome.accounts.cameras.iter().all(|camera| camera.unrecorded.is_empty()));
+        }
+    }
+
+    #[test]
+    fn all_three_too_slow_are_still_accounted_and_shed_in_order() {
+        for seed in SEEDS {
+            let outcome =
+                run(unkind(seed), Rates { preview: Some(1.5), analysis: Some(1.5), recording: Some(1.5) });
+            assert_accounted(&outcome, "all three too slow");
+            assert_eq!(outcome.previews_shown + outcome.previews_skipped, outcome.analyzed);
+            assert_eq!(outcome.analysis_lost_beside_preview, 0, "the preview must go first");
+            assert_eq!(
+                outcome.recording_lost_beside_analysis, 0,
+                "the analysis must go before the recording"
+            );
+        }
     }
 }

@@ -35,6 +35,8 @@ pub struct CameraAccount {
     pub duplicates: u64,
     /// Frames that came after their exposure was given up; not among the received.
     pub late: u64,
+    /// Frames of extra triggers, which belong to no exposure; not among the received.
+    pub extra: u64,
     /// Frames in the recording.
     pub recorded: u64,
     /// Frames received and not recorded, by reason.

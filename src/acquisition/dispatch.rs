@@ -257,6 +257,7 @@ impl Dispatch {
             let surplus = self.pairing.surplus(channel);
             let account = &mut books.accounts.cameras[channel.index()];
             (account.duplicates, account.late) = (surplus.duplicates, surplus.late);
+            account.extra = surplus.extra;
         }
         self.show(&books);
         DispatchReport {

@@ -21,6 +21,7 @@ mod pairing;
 mod pool;
 mod record;
 mod shedding;
+mod start;
 
 pub use accounts::{Accounts, CameraAccount, LossRange, Tally};
 pub use dispatch::{Dispatch, DispatchReport, FramePair, LeaveOut, Progress};

@@ -4,7 +4,8 @@
 //! Never: reads a clock, looks at pixels, loses a frame unsaid, pairs frames whose times disagree.
 //! Fails: not at all; what does not fit is a [`Loss`] and a [`PairingEvent`].
 
-use super::alignment::{Alignment, Times, Verdict, WITNESSES};
+use super::alignment::{Alignment, Times, Verdict, WITNESSES, Witness};
+use super::start::{self, START_FRAMES};
 use super::{Frame, FrameFacts, Loss, PairState, Side};
 use sofiscope_hal::{Channel, ExposureIndex};
 use std::collections::VecDeque;
@@ -52,6 +53,15 @@ pub enum PairingEvent {
         /// Triggers missed.
         triggers: u64,
     },
+    /// A camera exposed without a trigger and counted it; its exposures were renumbered from here.
+    ExtraTriggers {
+        /// The camera.
+        channel: Channel,
+        /// First exposure that is renumbered.
+        exposure: ExposureIndex,
+        /// Exposures too many.
+        triggers: u64,
+    },
     /// A camera's clock was set; its times are compared anew from here.
     ClockStep {
         /// The camera.
@@ -81,6 +91,8 @@ pub struct Surplus {
     pub duplicates: u64,
     /// Frames that came too late.
     pub late: u64,
+    /// Frames of extra triggers, which belong to no exposure.
+    pub extra: u64,
 }
 
 /// One camera's frames that wait for the other camera.
@@ -90,8 +102,8 @@ struct Waiting {
     frames: VecDeque<(u64, Grabbed)>,
     /// The newest exposure that ever came.
     newest: Option<u64>,
-    /// Triggers that this camera missed without knowing.
-    missed: u64,
+    /// Triggers that this camera missed without knowing, less those that it saw without there being any.
+    slip: i64,
     /// Why nothing comes any more.
     ended: Option<Loss>,
     surplus: Surplus,
@@ -104,6 +116,8 @@ pub struct Pairing {
     cameras: [Waiting; 2],
     next: u64,
     alignment: Alignment,
+    /// Whether the first frames have been compared, or never will be.
+    is_started: bool,
     events: VecDeque<PairingEvent>,
 }
 
@@ -114,7 +128,7 @@ impl Pairing {
         let camera = || Waiting {
             frames: VecDeque::with_capacity(frames),
             newest: None,
-            missed: 0,
+            slip: 0,
             ended: None,
             surplus: Surplus::default(),
         };
@@ -123,6 +137,8 @@ impl Pairing {
             cameras: [camera(), camera()],
             next: 0,
             alignment: Alignment::new(settings.period),
+            // Only frames of sources that do not wait arrive when they are made.
+            is_started: settings.lead.is_none(),
             events: VecDeque::new(),
         }
     }
@@ -131,11 +147,11 @@ impl Pairing {
     pub fn offer(&mut self, grabbed: Grabbed) {
         let facts = grabbed.facts();
         let camera = &mut self.cameras[facts.channel.index()];
-        let exposure = facts.info.exposure.0 + camera.missed;
-        if exposure < self.next {
+        let exposure = facts.info.exposure.0.checked_add_signed(camera.slip);
+        let Some(exposure) = exposure.filter(|&exposure| exposure >= self.next) else {
             camera.surplus.late += 1;
             return;
-        }
+        };
         camera.newest = camera.newest.max(Some(exposure));
         let place = camera.frames.iter().rposition(|(other, _)| *other <= exposure).map_or(0, |p| p + 1);
         if place > 0 && camera.frames[place - 1].0 == exposure {
@@ -152,6 +168,9 @@ impl Pairing {
 
     /// The next exposure, as soon as it is known what became of it.
     pub fn next_resolved(&mut self) -> Option<Resolved> {
+        if !self.is_started && !self.start() {
+            return None;
+        }
         loop {
             let exposure = self.next;
             let newest = self.cameras.iter().filter_map(|camera| camera.newest).max()?;
@@ -162,7 +181,11 @@ impl Pairing {
             let pair = match (missing, self.times_of(exposure)) {
                 ([None, None], Some(times)) => match self.judge(times)? {
                     Verdict::Missed { channel, triggers } => {
-                        self.renumber(channel, triggers);
+                        self.renumber_later(channel, triggers);
+                        continue;
+                    }
+                    Verdict::Extra { channel, triggers } => {
+                        self.renumber_earlier(channel, triggers);
                         continue;
                     }
                     Verdict::Aligned | Verdict::ClockStep { .. } => PairState::Paired,
@@ -211,10 +234,10 @@ impl Pairing {
     /// Judges the next exposure; `None` while later ones may still tell.
     fn judge(&mut self, times: Times) -> Option<Verdict> {
         let exposure = self.next;
-        let mut verdict = self.alignment.judge(exposure, times, &[]);
+        let mut verdict = self.alignment.judge(times, &[]);
         if verdict == Verdict::Unclear {
             let later = self.later_times();
-            verdict = self.alignment.judge(exposure, times, &later);
+            verdict = self.alignment.judge(times, &later);
             if verdict == Verdict::Unclear && self.more_may_come() {
                 return None;
             }
@@ -231,15 +254,43 @@ impl Pairing {
         Some(verdict)
     }
 
-    /// Times of the next exposures of which both frames are here.
-    fn later_times(&self) -> Vec<Times> {
+    /// Compares the first frames of both cameras, as soon as there are enough; says whether pairing may begin.
+    fn start(&mut self) -> bool {
+        let has_enough = |camera: &Waiting| camera.frames.len() >= START_FRAMES;
+        if self.cameras.iter().all(has_enough) {
+            let first = self.cameras.each_ref().map(|camera| {
+                let frame = |(number, grabbed): &(u64, Grabbed)| {
+                    let facts = grabbed.facts();
+                    (*number, facts.info.device_time, facts.received)
+                };
+                camera.frames.iter().take(START_FRAMES).map(frame).collect()
+            });
+            if let Some(start) = start::compare(&first, self.settings.period) {
+                for channel in Channel::BOTH {
+                    let missed = start.missed[channel.index()];
+                    if missed > 0 {
+                        self.renumber_later(channel, missed);
+                    }
+                }
+                self.alignment.begin_after(start.before);
+            }
+            self.is_started = true;
+        }
+        let longest = self.settings.lead.unwrap_or(0);
+        let is_over = |camera: &Waiting| camera.ended.is_some() || camera.newest >= Some(longest);
+        self.is_started |= self.cameras.iter().any(is_over);
+        self.is_started
+    }
+
+    /// The next exposures of which both frames are here.
+    fn later_times(&self) -> Vec<Witness> {
         let [reflected, transmitted] = &self.cameras;
         let mut later = Vec::with_capacity(WITNESSES);
         for (exposure, grabbed) in reflected.frames.iter().skip(1) {
             let Ok(place) = transmitted.frames.binary_search_by_key(exposure, |(other, _)| *other) else {
                 continue;
             };
-            later.push([time_of(grabbed), time_of(&transmitted.frames[place].1)]);
+            later.push((*exposure, [time_of(grabbed), time_of(&transmitted.frames[place].1)]));
             if later.len() == WITNESSES {
                 break;
             }
@@ -254,13 +305,29 @@ impl Pairing {
         !self.cameras.iter().any(over) && !self.cameras.iter().all(waited)
     }
 
-    fn renumber(&mut self, channel: Channel, triggers: u64) {
+    /// This camera missed triggers: its frames belong to later exposures.
+    fn renumber_later(&mut self, channel: Channel, triggers: u64) {
         let camera = &mut self.cameras[channel.index()];
-        camera.missed += triggers;
+        camera.slip += triggers.cast_signed();
         camera.newest = camera.newest.map(|newest| newest + triggers);
         camera.frames.iter_mut().for_each(|(exposure, _)| *exposure += triggers);
         let exposure = ExposureIndex(self.next);
         self.events.push_back(PairingEvent::MissedTriggers { channel, exposure, triggers });
+    }
+
+    /// This camera exposed too often: its frames belong to earlier exposures, and the first ones to none.
+    fn renumber_earlier(&mut self, channel: Channel, triggers: u64) {
+        let next = self.next;
+        let camera = &mut self.cameras[channel.index()];
+        camera.slip -= triggers.cast_signed();
+        camera.newest = camera.newest.map(|newest| newest.saturating_sub(triggers));
+        while camera.frames.front().is_some_and(|(exposure, _)| *exposure < next + triggers) {
+            camera.frames.pop_front();
+            camera.surplus.extra += 1;
+        }
+        camera.frames.iter_mut().for_each(|(exposure, _)| *exposure -= triggers);
+        let exposure = ExposureIndex(next);
+        self.events.push_back(PairingEvent::ExtraTriggers { channel, exposure, triggers });
     }
 
     fn times_of(&self, exposure: u64) -> Option<Times> {
@@ -287,146 +354,4 @@ fn time_of(grabbed: &Grabbed) -> sofiscope_hal::DeviceTime {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::acquisition::pool::tests::facts;
-    use proptest::prelude::*;
-    use sofiscope_hal::DeviceTime;
-
-    const PERIOD: Duration = Duration::from_millis(20);
-
-    fn pairing(lead: Option<u64>) -> Pairing {
-        Pairing::new(PairingSettings { period: PERIOD, reorder: 16, lead }, 64)
-    }
-
-    /// A frame whose only pixel says which exposure it truly is.
-    fn frame(channel: Channel, numbered: u64, truly: u64) -> Grabbed {
-        let mut facts = facts(channel, numbered);
-        let drift = if channel == Channel::Transmitted { truly * 2_000 } else { 0 };
-        facts.info.device_time = DeviceTime(truly * 20_000_000 + drift);
-        Grabbed::Frame(Frame::of_counts(facts, &[truly as u16]))
-    }
-
-    fn drain(pairing: &mut Pairing) -> Vec<Resolved> {
-        std::iter::from_fn(|| pairing.next_resolved()).collect()
-    }
-
-    fn truth_of(side: &Side) -> Option<u64> {
-        side.frame().map(|frame| u64::from(frame.counts()[0]))
-    }
-
-    fn assert_pairs_are_true(resolved: &[Resolved]) {
-        for one in resolved.iter().filter(|one| one.pair == PairState::Paired) {
-            let [r, t] = [0, 1].map(|camera| truth_of(&one.sides[camera]));
-            assert!(r.is_some() && r == t, "{one:?}");
-        }
-    }
-
-    /// Exposures that one camera delivers, in the order of delivery.
-    fn deliveries() -> impl Strategy<Value = Vec<u64>> {
-        let fate = prop_oneof![90 => Just(1_usize), 6 => Just(0), 4 => Just(2)];
-        prop::collection::vec((fate, 0_u64..8), 1..200).prop_map(|fates| {
-            let all =
-                fates.iter().enumerate().map(|(exposure, &(copies, late))| (exposure as u64, copies, late));
-            let mut sent: Vec<_> =
-                all.flat_map(|(exposure, copies, late)| vec![(exposure + late, exposure); copies]).collect();
-            sent.sort_unstable();
-            sent.into_iter().map(|(_, exposure)| exposure).collect()
-        })
-    }
-
-    proptest! {
-        #[test]
-        fn every_exposure_is_resolved_once_and_no_pair_is_wrong(
-            reflected in deliveries(),
-            transmitted in deliveries(),
-            batch in 1_usize..20,
-        ) {
-            let mut pairing = pairing(None);
-            let mut resolved = Vec::new();
-            let sent = [(Channel::Reflected, &reflected), (Channel::Transmitted, &transmitted)];
-            let longest = reflected.len().max(transmitted.len());
-            for begin in (0..longest).step_by(batch) {
-                for (channel, exposures) in sent {
-                    for &exposure in exposures.iter().skip(begin).take(batch) {
-                        pairing.offer(frame(channel, exposure, exposure));
-                    }
-                    resolved.extend(drain(&mut pairing));
-                }
-            }
-            Channel::BOTH.into_iter().for_each(|channel| pairing.end(channel, Loss::Stopping));
-            resolved.extend(drain(&mut pairing));
-            let last = reflected.iter().chain(&transmitted).max();
-            prop_assert_eq!(resolved.len() as u64, last.map_or(0, |last| last + 1));
-            for (expected, one) in (0..).zip(&resolved) {
-                prop_assert_eq!(one.exposure, ExposureIndex(expected));
-                for (channel, exposures) in sent {
-                    let here = exposures.contains(&expected).then_some(expected);
-                    prop_assert_eq!(truth_of(&one.sides[channel.index()]), here);
-                }
-            }
-            assert_pairs_are_true(&resolved);
-            for (channel, exposures) in sent {
-                let mut distinct = exposures.clone();
-                distinct.sort_unstable();
-                distinct.dedup();
-                let Surplus { duplicates, late } = pairing.surplus(channel);
-                prop_assert_eq!(duplicates + late, (exposures.len() - distinct.len()) as u64);
-            }
-        }
-    }
-
-    #[test]
-    fn a_missed_trigger_never_makes_a_wrong_pair_and_costs_one_exposure() {
-        for (channel, missed_at) in
-            [(Channel::Transmitted, 40), (Channel::Reflected, 1), (Channel::Transmitted, 97)]
-        {
-            let mut pairing = pairing(Some(32));
-            let mut resolved = Vec::new();
-            for exposure in 0..100 {
-                pairing.offer(frame(channel.other(), exposure, exposure));
-                let truly = exposure + u64::from(exposure >= missed_at);
-                if truly < 100 {
-                    pairing.offer(frame(channel, exposure, truly));
-                }
-                resolved.extend(drain(&mut pairing));
-            }
-            Channel::BOTH.into_iter().for_each(|channel| pairing.end(channel, Loss::Stopping));
-            resolved.extend(drain(&mut pairing));
-            assert_pairs_are_true(&resolved);
-            let pairs = resolved.iter().filter(|one| one.pair == PairState::Paired).count();
-            if missed_at < 90 {
-                assert_eq!(pairs, 99, "{channel} missed the trigger of exposure {missed_at}");
-                let event =
-                    PairingEvent::MissedTriggers { channel, exposure: ExposureIndex(missed_at), triggers: 1 };
-                assert_eq!(pairing.next_event(), Some(event));
-            } else {
-                assert_eq!(pairs as u64, missed_at);
-            }
-        }
-    }
-
-    #[test]
-    fn a_camera_that_falls_silent_does_not_hold_the_other_for_ever() {
-        let mut pairing = pairing(Some(32));
-        pairing.offer(frame(Channel::Transmitted, 0, 0));
-        for exposure in 0..100 {
-            pairing.offer(frame(Channel::Reflected, exposure, exposure));
-        }
-        let resolved = drain(&mut pairing);
-        assert_eq!(resolved.len(), 68);
-        assert!(matches!(resolved[1].sides[1], Side::Lost(Loss::Timeout, None)));
-        pairing.offer(frame(Channel::Transmitted, 1, 1));
-        assert_eq!(pairing.surplus(Channel::Transmitted).late, 1);
-    }
-
-    #[test]
-    fn unusable_frames_keep_their_place_and_their_reason() {
-        let mut pairing = pairing(None);
-        pairing.offer(Grabbed::Lost(facts(Channel::Reflected, 0), Loss::Incomplete));
-        pairing.offer(frame(Channel::Transmitted, 0, 0));
-        let resolved = pairing.next_resolved().unwrap();
-        assert!(matches!(resolved.sides[0], Side::Lost(Loss::Incomplete, Some(_))));
-        assert_eq!(resolved.pair, PairState::Not(Loss::Unpaired));
-    }
-}
+mod tests;

@@ -4,7 +4,7 @@ use super::AppError;
 use super::progress::Progress;
 use crate::config::{AnalysisSettings, Catalogue};
 use crate::reconstruction::{
-    AllCores, ChainSettings, Feed, FeedError, FlatteningKind, Stages, feed, reconstruct,
+    AllCores, ChainSettings, Feed, FeedError, FlatteningKind, Quality, Stages, feed, reconstruct,
 };
 use crate::sofi::cumulant::{Count, CumulantEngine, CumulantSettings, Drawing, Incomplete};
 use crate::sofi::flattening::estimate_sigma;
@@ -79,6 +79,8 @@ pub(super) struct Analysis {
     /// Seconds of each step.
     pub(super) steps: Vec<(String, f64)>,
     pub(super) warnings: Vec<String>,
+    /// What the live analysis found of its quality; none for stacks that are analyzed without it.
+    pub(super) quality: Option<Quality>,
 }
 
 impl Prepared {
@@ -142,7 +144,7 @@ impl Prepared {
         steps.push(("unmixing, flattening, linearization".to_owned(), begun.elapsed().as_secs_f64()));
         let mut warnings = self.warnings.clone();
         warnings.extend(subsequence_warnings(&self.engine, &feed, &drawing));
-        Ok(Analysis { prepared: self, drawing, stages, feed, widths, steps, warnings })
+        Ok(Analysis { prepared: self, drawing, stages, feed, widths, steps, warnings, quality: None })
     }
 
     /// Refuses cameras whose pixels never change.

@@ -2,6 +2,7 @@
 
 use super::AppError;
 use super::analysis::{Prepared, Source};
+use super::analysis_arguments::AnalysisArguments;
 use super::replay::{ReplayRequest, play};
 use super::results::{ensure_space, write_results};
 use super::text_file::read_text;
@@ -33,18 +34,8 @@ pub(super) struct AnalyzeArguments {
     /// Settings file (TOML); arguments win over it
     #[arg(long)]
     settings: Option<PathBuf>,
-    /// Dyes, separated by commas, in the order of the result images
-    #[arg(long, value_delimiter = ',')]
-    species: Option<Vec<String>>,
-    /// Dichroic between the cameras
-    #[arg(long)]
-    dichroic: Option<String>,
-    /// Cumulant order, 2 to 6
-    #[arg(long)]
-    order: Option<usize>,
-    /// Exposures per subsequence [default: 200, or all if there are fewer]
-    #[arg(long)]
-    subsequence: Option<u64>,
+    #[command(flatten)]
+    analysis: AnalysisArguments,
     /// Pixel sets: all-closest, one-per-position or sofipackage
     #[arg(long)]
     combinations: Option<String>,
@@ -117,17 +108,13 @@ fn analyze_recording(arguments: &AnalyzeArguments) -> Result<(), AppError> {
 
 fn raw_settings(arguments: &AnalyzeArguments) -> Result<RawAnalysis, AppError> {
     let given = RawAnalysis {
-        order: arguments.order,
-        subsequence_exposures: arguments.subsequence,
         combinations: arguments.combinations.clone(),
-        species: arguments.species.clone(),
-        dichroic: arguments.dichroic.clone(),
         unmixing: arguments.non_negative.then(|| "non-negative".to_owned()),
         iterations: arguments.iterations,
         reconvolution: arguments.no_reconvolution.then_some(false),
         psf_sigma_px: arguments.psf_sigma,
         pixel_pitch_nm: arguments.pixel_nm,
-        ..RawAnalysis::default()
+        ..arguments.analysis.raw()
     };
     let file = match &arguments.settings {
         Some(path) => read_settings(path)?,

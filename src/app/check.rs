@@ -195,21 +195,11 @@ fn unknown_kind(text: &str) -> Vec<Fault> {
 }
 
 fn scene_faults(text: &str) -> Vec<Fault> {
-    Scene::from_toml(text).err().map_or_else(Vec::new, |error| of_simulator(error.faults))
+    Scene::from_toml(text).err().map_or_else(Vec::new, |error| error.faults)
 }
 
 fn scenario_faults(text: &str) -> Vec<Fault> {
-    Scenario::from_toml(text).err().map_or_else(Vec::new, |error| of_simulator(error.faults))
-}
-
-fn of_simulator(faults: Vec<sofiscope_sim::Fault>) -> Vec<Fault> {
-    let fault = |fault: sofiscope_sim::Fault| Fault {
-        line: fault.line,
-        key: fault.key,
-        message: fault.message,
-        remedy: fault.remedy,
-    };
-    faults.into_iter().map(fault).collect()
+    Scenario::from_toml(text).err().map_or_else(Vec::new, |error| error.faults)
 }
 
 /// Checks dichroics against the fluorophores beside them, or the built-in ones; faults of these come first.

@@ -4,6 +4,7 @@
 //! Never: computes an image itself. Fails: [`AppError`], one or two sentences and an exit code.
 
 mod analysis;
+mod analysis_arguments;
 mod analysis_note;
 mod analyze;
 pub mod bench;

@@ -2,6 +2,7 @@
 
 use super::AppError;
 use super::analysis::{self, Prepared};
+use super::analysis_arguments::AnalysisArguments;
 use super::analysis_note::{self, AnalysisNote};
 use super::live_path::PathOptions;
 use super::run::free_name;
@@ -48,18 +49,8 @@ pub(super) struct ReplayArguments {
     /// Prove that the results equal the recorded ones, bit by bit; plays as fast as possible
     #[arg(long, conflicts_with_all = ["start", "transmission"])]
     verify: bool,
-    /// Dyes, separated by commas [default: as the recording was analyzed]
-    #[arg(long, value_delimiter = ',')]
-    species: Option<Vec<String>>,
-    /// Dichroic between the cameras
-    #[arg(long)]
-    dichroic: Option<String>,
-    /// Cumulant order, 2 to 6
-    #[arg(long)]
-    order: Option<usize>,
-    /// Exposures per subsequence
-    #[arg(long)]
-    subsequence: Option<u64>,
+    #[command(flatten)]
+    analysis: AnalysisArguments,
     /// Directory for the results; must not exist [default: sofiscope-replay, or the next free one]
     #[arg(long)]
     out: Option<PathBuf>,
@@ -108,13 +99,7 @@ pub(super) fn run(arguments: &ReplayArguments) -> Result<(), AppError> {
             period: period_of(arguments.period_ms)?,
             ..ReplayOptions::default()
         },
-        settings: RawAnalysis {
-            order: arguments.order,
-            subsequence_exposures: arguments.subsequence,
-            species: arguments.species.clone(),
-            dichroic: arguments.dichroic.clone(),
-            ..RawAnalysis::default()
-        },
+        settings: arguments.analysis.raw(),
         as_live: true,
     };
     let (mut ended, results, summary) = play(request, &out)?;

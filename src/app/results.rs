@@ -12,7 +12,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 
 /// Longer side of `composite.png`, pixels.
-const COMPOSITE_SIDE: usize = 960;
+pub(super) const COMPOSITE_SIDE: usize = 960;
 
 /// Percentile of the brightest value shown in composites, whose dark end is zero.
 const BRIGHTEST_PERCENT: f64 = 99.9;

@@ -7,7 +7,7 @@ use super::AppError;
 use super::analysis::{Analysis, Prepared};
 use super::live_path::{LivePath, PathOptions, SeriesResult, reason_text};
 use super::progress::Progress;
-use super::results::{Scores, Summary, ensure_space, write_results};
+use super::results::{COMPOSITE_SIDE, Scores, Summary, ensure_space, write_results};
 use crate::acquisition::HostClock;
 use crate::control::contracts::{Clock, StopRecord};
 use crate::control::plan::AcquisitionEvent;
@@ -231,7 +231,9 @@ pub(super) fn analysis_of(result: &mut SeriesResult, prepared: Prepared) -> Resu
         );
     }
     let took = Duration::from_secs_f64(result.report.seconds);
-    prepared.finish(&live.engine, live.feed, took)
+    let mut analysis = prepared.finish(&live.engine, live.feed, took)?;
+    analysis.quality = live.quality.last().cloned();
+    Ok(analysis)
 }
 
 /// What the reader of a report must know about lost frames.
@@ -258,9 +260,12 @@ pub(super) fn write_preview(result: &SeriesResult, directory: &Path) -> Result<(
     let Some(picture) = &result.report.picture else { return Ok(()) };
     match &picture.image {
         Ok(image) => {
+            let (mut image, factor) = image.fitted(COMPOSITE_SIDE).map_err(AppError::data)?;
+            let pitch_nm = picture.pixel_pitch_nm / factor;
+            image.draw_scale_bar(pitch_nm);
             let notes = PngNotes {
                 title: Some(format!("preview: {}", picture.label)),
-                pixel_pitch_nm: Some(picture.pixel_pitch_nm),
+                pixel_pitch_nm: Some(pitch_nm),
             };
             image.write_png(&directory.join("preview.png"), &notes).map_err(AppError::data)
         }

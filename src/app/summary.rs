@@ -5,7 +5,8 @@ use super::results::{Scores, species_names, spectral_names, title};
 use crate::display::default_colors;
 use crate::report::{
     AnalysisReport, BleachingCurve, CurveUnit, FORMAT_VERSION, FlatteningNotes, FrameAccount, FrameCount,
-    InputFile, OutputFile, PsfUsed, Settings, Species, Subsequence, SubsequenceFate, Timing, Unmixing,
+    InputFile, OutputFile, PsfUsed, Resolution, ResolutionCurve, ResolutionValue, Settings, Species,
+    Subsequence, SubsequenceFate, Timing, Unmixing,
 };
 use crate::sofi::flattening::FlatteningReport;
 use crate::sofi::grid::Combinations;
@@ -30,7 +31,7 @@ pub(super) fn report(analysis: &Analysis, command: &str, files: &[String], score
         unmixing: unmixing(analysis),
         bleaching: bleaching(analysis),
         crosstalk: scores.crosstalk,
-        resolution: scores.resolution,
+        resolution: resolution(analysis, scores.resolution),
         timing: Some(timing(analysis)),
         outputs: files
             .iter()
@@ -144,6 +145,7 @@ fn species(analysis: &Analysis) -> Vec<Species> {
     let mut notes: Vec<Option<FlatteningNotes>> =
         notes.map(|report| Some(flattening_notes(report))).collect();
     notes.resize(analysis.prepared.species.len(), None);
+    let signal_to_noise = |index: usize| analysis.quality.as_ref()?.snr_species.get(index).copied().flatten();
     let one = |((index, species), flattening): ((usize, &crate::sofi::spectra::Species), _)| Species {
         name: species.name.clone(),
         transmission: species.response.transmission(),
@@ -151,10 +153,35 @@ fn species(analysis: &Analysis) -> Vec<Species> {
         emission_nm: species.emission_nm,
         color: Some(colors[index]),
         noise_gain: gains.as_ref().map(|gains| gains[index]),
-        signal_to_noise: None,
+        signal_to_noise: signal_to_noise(index),
         flattening,
     };
     analysis.prepared.species.iter().enumerate().zip(notes).map(one).collect()
+}
+
+/// What was measured on the images, and the Fourier ring correlation of the live analysis.
+fn resolution(analysis: &Analysis, measured: Option<Resolution>) -> Option<Resolution> {
+    let quality = analysis.quality.as_ref();
+    let names = species_names(analysis);
+    let mut all = measured.unwrap_or_default();
+    for (found, name) in quality.iter().flat_map(|quality| &quality.resolution).zip(&names) {
+        let (Some(nanometers), Some(curve)) = (found.nm, &found.curve) else { continue };
+        let limit = if found.is_pixel_limited { ", limited by the pixels" } else { "" };
+        all.values.push(ResolutionValue {
+            image: name.clone(),
+            method: format!("Fourier ring correlation, 1/7, of the flattened image{limit}"),
+            nanometers,
+        });
+        let fine_um = analysis.prepared.pixel_pitch_nm / 1e3 / analysis.prepared.grid.order() as f64;
+        all.curves.push(ResolutionCurve {
+            image: name.clone(),
+            frequency_per_um: (0..curve.smoothed.len())
+                .map(|ring| ring as f64 * curve.frequency_step / fine_um)
+                .collect(),
+            correlation: curve.smoothed.clone(),
+        });
+    }
+    (!all.values.is_empty()).then_some(all)
 }
 
 fn flattening_notes(report: &FlatteningReport) -> FlatteningNotes {

@@ -1,10 +1,10 @@
 //! Settings of an analysis: a TOML file, overridden by arguments, checked as a whole.
 
-use super::form::{self, Faults};
 use crate::sofi::grid::Combinations;
 use crate::sofi::linearization::{Acceleration, Reconvolution};
 use crate::sofi::unmixing::UnmixingMethod;
 use serde::{Deserialize, Serialize};
+use sofiscope_form::Faults;
 
 /// Objective of the paper's microscope.
 const DEFAULT_NUMERICAL_APERTURE: f64 = 1.27;
@@ -114,7 +114,7 @@ impl RawAnalysis {
     /// Every fault of syntax, or every unknown key, or the first value of a wrong kind; each with its line.
     pub fn from_toml(text: &str) -> Result<Self, AnalysisFaults> {
         let faults = Faults::new(text);
-        form::read(text, &faults, |form| form.know(&KEYS));
+        sofiscope_form::read(&faults, |form| form.know(&KEYS));
         let mut faults = faults.into_list();
         if !faults.is_empty() {
             // One slip of syntax is several errors to the parser.

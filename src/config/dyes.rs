@@ -10,9 +10,9 @@ mod raw;
 use std::collections::BTreeMap;
 
 use super::Fault;
-use super::form::Faults;
-use super::names::{nearest, plain, suggestion};
+use super::names::suggestion;
 use crate::sofi::spectra::{Species, SpectralResponse};
+use sofiscope_form::{Faults, nearest, plain};
 
 const FLUOROPHORES: &str = include_str!("../../config/fluorophores.toml");
 const DICHROICS: &str = include_str!("../../config/dichroics.toml");
@@ -210,8 +210,8 @@ impl Catalogue {
     /// names that mean two things, coefficients of unknown fluorophores.
     pub fn from_toml(fluorophores: &str, dichroics: &str) -> Result<Self, CatalogueError> {
         let (first, second) = (Faults::new(fluorophores), Faults::new(dichroics));
-        let fluorophores = checked::fluorophores(raw::fluorophores(fluorophores, &first), &first);
-        let dichroics = checked::dichroics(raw::dichroics(dichroics, &second), &fluorophores, &second);
+        let fluorophores = checked::fluorophores(raw::fluorophores(&first), &first);
+        let dichroics = checked::dichroics(raw::dichroics(&second), &fluorophores, &second);
         let error = CatalogueError { fluorophores: first.into_list(), dichroics: second.into_list() };
         if error.fluorophores.is_empty() && error.dichroics.is_empty() {
             Ok(Self { fluorophores, dichroics })
@@ -224,7 +224,7 @@ impl Catalogue {
     #[must_use]
     pub fn faults_of_fluorophores(text: &str) -> Vec<Fault> {
         let faults = Faults::new(text);
-        checked::fluorophores(raw::fluorophores(text, &faults), &faults);
+        checked::fluorophores(raw::fluorophores(&faults), &faults);
         faults.into_list()
     }
 

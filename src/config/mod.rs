@@ -7,19 +7,18 @@
 
 mod analysis;
 mod dyes;
-mod fault;
-mod form;
 mod instrument;
+mod judge;
 mod names;
 mod section;
 mod tree;
 
 pub use analysis::{AnalysisFaults, AnalysisSettings, RawAnalysis};
 pub use dyes::{Catalogue, CatalogueError, Dichroic, DyeError, Fluorophore};
-pub use fault::Fault;
 pub use instrument::{
     CameraEntry, CameraKind, Instrument, InstrumentFaults, Limits, Simulation, TriggerKind,
 };
-pub use names::nearest;
+pub(crate) use judge::Judge;
 pub(crate) use section::{Findings, Section};
+pub use sofiscope_form::{Fault, nearest};
 pub(crate) use tree::{Content, Node, Places};

@@ -1,7 +1,8 @@
 //! An output directory that appears whole or not at all.
 //!
 //! In: the path that the results shall have. Out: a hidden sibling directory to write into, renamed at the end.
-//! Never: touches what exists already, leaves a partial result that looks whole.
+//! Never: touches what exists already, but for what a killed program left of the same output; leaves a partial result
+//! that looks whole.
 //! Fails: [`FileError`] when the path is taken, its parent is missing or the disk refuses.
 
 use std::fs::{self, File};
@@ -9,6 +10,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::FileError;
+use rustix::process::{Pid, test_kill_process};
 
 /// How many partial directories of one name and process may exist at a time.
 const MAX_PARTIAL: u32 = 100;
@@ -38,6 +40,7 @@ impl OutputDirectory {
             let reason = format!("the directory {} does not exist", parent.display());
             return Err(refused(target, &reason));
         }
+        remove_abandoned(parent, &name.to_string_lossy());
         let stem = format!(".{}.partial-{}", name.to_string_lossy(), std::process::id());
         let partial = create_partial(target, parent, &stem)?;
         Ok(OutputDirectory { target: absolute.clone(), parent: parent.to_path_buf(), partial: Some(partial) })
@@ -110,6 +113,36 @@ fn ensure_vacant(target: &Path) -> Result<(), FileError> {
     }
 }
 
+/// Removes what programs that were killed left of this output; what cannot be removed stays.
+fn remove_abandoned(parent: &Path, name: &str) {
+    let prefix = format!(".{name}.partial-");
+    for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
+        let found = entry.file_name();
+        let owner = found.to_str().and_then(|found| found.strip_prefix(&prefix)).and_then(owner_of);
+        let is_directory = entry.file_type().is_ok_and(|kind| kind.is_dir());
+        if is_directory && owner.is_some_and(is_gone) {
+            let path = entry.path();
+            match fs::remove_dir_all(&path) {
+                Ok(()) => tracing::info!(path = %path.display(), "removed what a killed program left"),
+                Err(error) => {
+                    tracing::warn!(path = %path.display(), %error, "an abandoned output could not be removed");
+                }
+            }
+        }
+    }
+}
+
+/// The process that writes `PID` or `PID-ATTEMPT`.
+fn owner_of(rest: &str) -> Option<Pid> {
+    let (number, attempt) = rest.split_once('-').unwrap_or((rest, "0"));
+    attempt.parse::<u32>().ok()?;
+    Pid::from_raw(number.parse().ok().filter(|&number| number > 0)?)
+}
+
+fn is_gone(process: Pid) -> bool {
+    test_kill_process(process) == Err(rustix::io::Errno::SRCH)
+}
+
 fn create_partial(target: &Path, parent: &Path, stem: &str) -> Result<PathBuf, FileError> {
     for attempt in 0..MAX_PARTIAL {
         let partial = match attempt {
@@ -147,4 +180,31 @@ fn sync(path: &Path) -> Result<(), FileError> {
     File::open(path)
         .and_then(|file| file.sync_all())
         .map_err(|source| FileError::from_io(path, "write", source))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_killed_program_left_is_removed_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut child = std::process::Command::new("true").spawn().unwrap();
+        let (dead, alive) = (child.id(), std::process::id());
+        child.wait().unwrap();
+        let abandoned = [format!(".result.partial-{dead}"), format!(".result.partial-{dead}-3")];
+        let kept = [
+            format!(".result.partial-{alive}-7"),
+            format!(".result2.partial-{dead}"),
+            ".result.partial-notes".to_owned(),
+            format!(".result.partial-{dead}.txt"),
+        ];
+        for name in abandoned.iter().chain(&kept) {
+            fs::create_dir(folder.path().join(name)).unwrap();
+            fs::write(folder.path().join(name).join("unmixed.ome.tif"), "half").unwrap();
+        }
+        OutputDirectory::create(&folder.path().join("result")).unwrap().commit().unwrap();
+        assert!(abandoned.iter().all(|name| !folder.path().join(name).exists()));
+        assert!(kept.iter().all(|name| folder.path().join(name).exists()));
+    }
 }

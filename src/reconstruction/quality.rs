@@ -8,201 +8,27 @@
 //! running sums over subsequences stay. One more engine on a quarter of a million fine pixels at most costs
 //! little beside that of the whole camera.
 
+mod blocks;
+mod findings;
+mod settings;
+
+pub use findings::{BleachingState, LagCheck, Quality, Resolution};
+pub use settings::{QualityError, QualitySettings};
+
 use super::AllCores;
 use crate::pipeline::Publisher;
-use crate::sofi::cumulant::{
-    CumulantEngine, CumulantSettings, Drawing, Exposure, Incomplete, PushError, SettingsError,
-};
+use crate::sofi::cumulant::{CumulantEngine, CumulantSettings, Drawing, Exposure, Incomplete, PushError};
 use crate::sofi::flattening::{Flattening, PsfWidth, flatten};
 use crate::sofi::quality::{
-    BinnedTrace, FourierRingCorrelation, LagCorrelation, LagCorrelator, Offset, RunningImage,
-    balance_sub_grids, fit_bleaching, fourier_ring_correlation, subsequences_for_resolution,
-    subsequences_for_signal_to_noise,
+    BinnedTrace, FourierRingCorrelation, LagCorrelator, Offset, RunningImage, balance_sub_grids,
+    fit_bleaching, fourier_ring_correlation,
 };
-use crate::sofi::unmixing::UnmixingMatrix;
+use blocks::{block_means, central};
 use ndarray::Array2;
-use serde::Serialize;
 use std::ops::Range;
-use std::time::Duration;
 
 /// Side of the part that is looked at, camera pixels, unless asked otherwise.
 pub const CENTRAL_SIDE: usize = 256;
-
-/// Side of the blocks whose traces are correlated between the cameras, camera pixels.
-const BLOCK_SIDE: usize = 8;
-
-/// How quality is watched.
-#[derive(Debug, Clone)]
-pub struct QualitySettings {
-    /// The cumulants, as the live analysis computes them.
-    pub cumulants: CumulantSettings,
-    /// Height of the frames, camera pixels.
-    pub height: usize,
-    /// Width of the frames, camera pixels.
-    pub width: usize,
-    /// Longest side of the central part that is looked at, camera pixels.
-    pub central_side: usize,
-    /// Dyes, if images per species are wanted.
-    pub matrix: Option<UnmixingMatrix>,
-    /// Counts at which a pixel is saturated.
-    pub saturation_counts: u16,
-    /// Counts that do not bleach (camera offset and background) per channel, where known.
-    pub offset_counts: Option<Vec<f64>>,
-    /// Pixel pitch in the sample, nanometers, if known.
-    pub pixel_pitch_nm: Option<f64>,
-    /// Time from exposure to exposure, if known.
-    pub period: Option<Duration>,
-}
-
-impl QualitySettings {
-    /// For frames of this size, with nothing known of dyes, pixel pitch, time and offset.
-    #[must_use]
-    pub fn new(cumulants: CumulantSettings, height: usize, width: usize) -> Self {
-        Self {
-            cumulants,
-            height,
-            width,
-            central_side: CENTRAL_SIDE,
-            matrix: None,
-            saturation_counts: u16::MAX,
-            offset_counts: None,
-            pixel_pitch_nm: None,
-            period: None,
-        }
-    }
-}
-
-/// Why quality cannot be watched.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum QualityError {
-    /// The cumulant settings, or the size of the central part, cannot be used.
-    #[error(transparent)]
-    Settings(#[from] SettingsError),
-    /// The dyes do not belong to these cumulants.
-    #[error(
-        "the unmixing is for {rows} spectral channels of order {order}, not for those of these cumulants"
-    )]
-    Matrix {
-        /// Spectral channels of the matrix.
-        rows: usize,
-        /// Order of the matrix.
-        order: usize,
-    },
-    /// There is not one offset per channel.
-    #[error("{given} offsets were given for {channels} channels")]
-    Offsets {
-        /// Offsets given.
-        given: usize,
-        /// Channels.
-        channels: usize,
-    },
-}
-
-/// Quality after a number of subsequences; `None` wherever the data cannot tell yet.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Quality {
-    /// Subsequences that count.
-    pub subsequences: u64,
-    /// Exposures in them.
-    pub exposures: u64,
-    /// Exposures per subsequence.
-    pub subsequence_exposures: u64,
-    /// Signal-to-noise per spectral channel: median over the bright pixels of mean over standard error;
-    /// noise alone gives about 1.6.
-    pub snr_channels: Vec<Option<f64>>,
-    /// The same per species (bright: above half of the 99.5th percentile); empty without dyes.
-    pub snr_species: Vec<Option<f64>>,
-    /// Resolution by Fourier ring correlation per species, or per spectral channel without dyes.
-    pub resolution: Vec<Resolution>,
-    /// Bleaching per channel, R and T.
-    pub bleaching: Vec<Option<BleachingState>>,
-    /// Whether both cameras see the same exposures; for two channels.
-    pub lag: Option<LagCheck>,
-    /// Share of the pixels, per channel, that were saturated at least once in the newest subsequence.
-    pub saturated_share: Vec<f64>,
-    /// Pixels per channel that did not change at all in the newest subsequence.
-    pub dead_pixels: Vec<u64>,
-}
-
-/// The finest detail on which both halves of the subsequences agree.
-#[derive(Debug, Clone, PartialEq, Default, Serialize)]
-pub struct Resolution {
-    /// Camera pixels.
-    pub camera_px: Option<f64>,
-    /// Nanometers, if the pixel pitch is known.
-    pub nm: Option<f64>,
-    /// Whether both halves agree down to two fine pixels, so that the resolution is at least as good as it says.
-    pub is_pixel_limited: bool,
-    /// The correlation, on the fine grid; left out of reports for its length.
-    #[serde(skip)]
-    pub curve: Option<FourierRingCorrelation>,
-}
-
-/// How the light of one camera bleaches.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct BleachingState {
-    /// Exposures until half of the signal is gone.
-    pub half_time_exposures: f64,
-    /// Seconds until then, if the period is known.
-    pub half_time_s: Option<f64>,
-    /// One standard deviation below and above, exposures; no upper bound is `null` in reports.
-    pub half_time_range_exposures: [f64; 2],
-    /// Signal now over signal at the begin.
-    pub left: f64,
-}
-
-/// Correlation of both cameras against the lag of T.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct LagCheck {
-    /// Lag of the highest correlation, -3 to 3 exposures; must be 0.
-    pub peak: i32,
-    /// How far it stands above the next, standard errors.
-    pub significance: f64,
-    /// Whether the cameras are in step, where the data can tell.
-    pub in_step: Option<bool>,
-    /// Correlations for T late by -3 to 3 exposures.
-    pub correlations: [f64; 7],
-}
-
-impl From<LagCorrelation> for LagCheck {
-    fn from(found: LagCorrelation) -> Self {
-        let (peak, significance, in_step) = (found.peak(), found.significance(), found.in_step());
-        Self { peak, significance, in_step, correlations: found.correlations }
-    }
-}
-
-impl Quality {
-    /// Exposures still needed until every species (spectral channel without dyes) has this signal-to-noise.
-    ///
-    /// By the square root law, with bleaching where it was found; `None` when it is never reached.
-    #[must_use]
-    pub fn exposures_for_snr(&self, wanted: f64) -> Option<u64> {
-        let all = if self.snr_species.is_empty() { &self.snr_channels } else { &self.snr_species };
-        let half_times = self.bleaching.iter().flatten().map(|bleaching| bleaching.half_time_exposures);
-        let constant = half_times
-            .reduce(f64::min)
-            .map(|half_time| half_time / std::f64::consts::LN_2 / self.subsequence_exposures as f64);
-        self.still(
-            all.iter()
-                .map(|snr| subsequences_for_signal_to_noise((*snr)?, self.subsequences, wanted, constant)),
-        )
-    }
-
-    /// Exposures still needed until every image is resolved to this many camera pixels; `None` when that is
-    /// never reached or nothing can be said yet.
-    #[must_use]
-    pub fn exposures_for_resolution(&self, wanted_camera_px: f64, order: usize) -> Option<u64> {
-        let wanted = wanted_camera_px * order as f64;
-        self.still(self.resolution.iter().map(|resolution| {
-            subsequences_for_resolution(resolution.curve.as_ref()?, self.subsequences, wanted)
-        }))
-    }
-
-    fn still(&self, subsequences: impl Iterator<Item = Option<u64>>) -> Option<u64> {
-        let slowest = subsequences.collect::<Option<Vec<u64>>>()?.into_iter().max()?;
-        Some((slowest - self.subsequences) * self.subsequence_exposures)
-    }
-}
 
 /// Watches the quality of a stream of exposures.
 #[derive(Debug)]
@@ -249,7 +75,7 @@ impl QualityMonitor {
         {
             return Err(QualityError::Offsets { given: offsets.len(), channels });
         }
-        let blocks = rows.len().div_ceil(BLOCK_SIDE) * columns.len().div_ceil(BLOCK_SIDE);
+        let blocks = rows.len().div_ceil(blocks::SIDE) * columns.len().div_ceil(blocks::SIDE);
         let species = settings.matrix.as_ref().map_or(0, |matrix| matrix.species().len());
         let pixels = rows.len() * columns.len();
         let fine = (settings.cumulants.order * rows.len(), settings.cumulants.order * columns.len());
@@ -469,46 +295,4 @@ impl QualityMonitor {
 fn scaled(image: &Array2<f32>, scales: &Array2<f64>) -> Array2<f32> {
     let (n, _) = scales.dim();
     Array2::from_shape_fn(image.dim(), |(y, x)| image[[y, x]] * scales[[y % n, x % n]] as f32)
-}
-
-/// The middle of a side, at most this long.
-fn central(side: usize, longest: usize) -> Range<usize> {
-    let length = side.min(longest);
-    let start = (side - length) / 2;
-    start..start + length
-}
-
-/// Means of blocks of pixels, row by row; those at the lower and right border may be smaller.
-fn block_means(plane: &[u16], width: usize) -> Vec<f64> {
-    let across = width.div_ceil(BLOCK_SIDE);
-    let mut means = Vec::with_capacity(across * plane.len().div_ceil(width * BLOCK_SIDE));
-    for rows in plane.chunks(width * BLOCK_SIDE) {
-        let mut sums = vec![0_u64; across];
-        for row in rows.chunks(width) {
-            for (sum, part) in sums.iter_mut().zip(row.chunks(BLOCK_SIDE)) {
-                *sum += u64::from(part.iter().map(|&count| u32::from(count)).sum::<u32>());
-            }
-        }
-        let height = rows.len() / width;
-        let pixels = |block: usize| height * BLOCK_SIDE.min(width - block * BLOCK_SIDE);
-        means.extend(sums.iter().enumerate().map(|(block, &sum)| sum as f64 / pixels(block) as f64));
-    }
-    means
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_central_part_lies_in_the_middle() {
-        assert_eq!(central(2048, 256), 896..1152);
-        assert_eq!(central(72, 256), 0..72);
-    }
-
-    #[test]
-    fn blocks_at_the_border_are_means_too() {
-        let plane: Vec<u16> = (0..90).map(|pixel| if pixel % 9 < 8 { 10 } else { 20 }).collect();
-        assert_eq!(block_means(&plane, 9), [10.0, 20.0, 10.0, 20.0]);
-    }
 }

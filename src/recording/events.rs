@@ -4,12 +4,10 @@
 //! Never: keeps a line back. Fails: [`RecordingError`]; the line is then not there.
 
 use super::RecordingError;
-use super::direct::{Gate, Operation};
-use rustix::fs::{FallocateFlags, fallocate};
+use super::appended::Appended;
+use super::direct::Gate;
 use serde::{Deserialize, Serialize};
-use std::fs::{File, OpenOptions};
-use std::os::unix::fs::FileExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Name of the file.
 pub(super) const EVENTS: &str = "events.jsonl";
@@ -78,58 +76,30 @@ impl Event {
 
 /// The open file.
 #[derive(Debug)]
-pub(super) struct EventLog {
-    file: File,
-    path: PathBuf,
-    gate: Gate,
-    end: u64,
-}
+pub(super) struct EventLog(Appended);
 
 impl EventLog {
     pub(super) fn create(directory: &Path, gate: Gate) -> Result<Self, RecordingError> {
-        let path = directory.join(EVENTS);
-        let file = gate
-            .pass(Operation::Write, &path)
-            .and_then(|()| OpenOptions::new().write(true).create_new(true).open(&path))
-            .map_err(|source| RecordingError::storage(&path, "create", source))?;
-        // A disk that cannot reserve still writes.
-        let _ = fallocate(&file, FallocateFlags::KEEP_SIZE, 0, RESERVE);
-        Ok(Self { file, path, gate, end: 0 })
+        let file = Appended::create(directory.join(EVENTS), gate)?;
+        file.reserve(RESERVE);
+        Ok(Self(file))
     }
 
     /// Opens the log of a crashed recording behind its last whole line; without a file, a new one.
     pub(super) fn reopen(directory: &Path, end: u64) -> Result<Self, RecordingError> {
-        let path = directory.join(EVENTS);
-        let file = OpenOptions::new()
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(&path)
-            .and_then(|file| file.set_len(end).map(|()| file))
-            .map_err(|source| RecordingError::storage(&path, "open", source))?;
-        Ok(Self { file, path, gate: Gate::default(), end })
+        Appended::reopen(directory.join(EVENTS), end).map(Self)
     }
 
     /// Appends one line.
     pub(super) fn append(&mut self, event: &Event) -> Result<(), RecordingError> {
-        let failed = |source| RecordingError::storage(&self.path, "write", source);
-        let mut line = serde_json::to_vec(event).map_err(|error| failed(error.into()))?;
-        line.push(b'\n');
-        self.gate
-            .pass(Operation::Write, &self.path)
-            .and_then(|()| self.file.write_all_at(&line, self.end))
-            .map_err(failed)?;
-        self.end += line.len() as u64;
-        Ok(())
+        let line = serde_json::to_string(event)
+            .map_err(|error| RecordingError::storage(Path::new(EVENTS), "write", error.into()))?;
+        self.0.append((line + "\n").as_bytes())
     }
 
     /// Gives back what was reserved and makes the log durable.
     pub(super) fn close(self) -> Result<(), RecordingError> {
-        self.file
-            .set_len(self.end)
-            .and_then(|()| self.gate.pass(Operation::Sync, &self.path))
-            .and_then(|()| self.file.sync_all())
-            .map_err(|source| RecordingError::storage(&self.path, "sync", source))
+        self.0.close()
     }
 }
 

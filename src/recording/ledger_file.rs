@@ -5,12 +5,10 @@
 //! Fails: [`RecordingError`]; what was not written is kept and tried again with the next rows, up to a bound.
 
 use super::RecordingError;
-use super::direct::{Gate, Operation};
+use super::appended::Appended;
+use super::direct::Gate;
 use crate::acquisition::LedgerRow;
-use rustix::fs::{FallocateFlags, fallocate};
-use std::fs::{File, OpenOptions};
-use std::os::unix::fs::FileExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Name of the file.
 pub(super) const LEDGER: &str = "ledger.csv";
@@ -22,23 +20,16 @@ const MAX_WAITING_BYTES: usize = 8 << 20;
 /// The open file.
 #[derive(Debug)]
 pub(super) struct LedgerFile {
-    file: File,
-    path: PathBuf,
-    gate: Gate,
-    end: u64,
+    file: Appended,
     reserved: u64,
     waiting: String,
 }
 
 impl LedgerFile {
     pub(super) fn create(directory: &Path, gate: Gate) -> Result<Self, RecordingError> {
-        let path = directory.join(LEDGER);
-        let file = gate
-            .pass(Operation::Write, &path)
-            .and_then(|()| OpenOptions::new().write(true).create_new(true).open(&path))
-            .map_err(|source| RecordingError::storage(&path, "create", source))?;
+        let file = Appended::create(directory.join(LEDGER), gate)?;
         let waiting = LedgerRow::header() + "\n";
-        let mut ledger = Self { file, path, gate, end: 0, reserved: 0, waiting };
+        let mut ledger = Self { file, reserved: 0, waiting };
         ledger.write(&[])?;
         Ok(ledger)
     }
@@ -54,37 +45,24 @@ impl LedgerFile {
             return Ok(());
         }
         self.reserve();
-        self.gate
-            .pass(Operation::Write, &self.path)
-            .and_then(|()| self.file.write_all_at(self.waiting.as_bytes(), self.end))
-            .map_err(|source| {
-                // No half line stays; if not even that works, readers leave a torn line out.
-                let _ = self.file.set_len(self.end);
-                self.reserved = self.end;
-                RecordingError::storage(&self.path, "write", source)
-            })?;
-        self.end += self.waiting.len() as u64;
+        if let Err(error) = self.file.append(self.waiting.as_bytes()) {
+            self.reserved = self.file.end();
+            return Err(error);
+        }
         self.waiting.clear();
         Ok(())
     }
 
     /// Keeps room for what waits and [`RESERVE`] behind it.
     fn reserve(&mut self) {
-        let end = self.end + self.waiting.len() as u64 + RESERVE / 2;
-        if end > self.reserved {
-            let reserved = end + RESERVE;
-            if fallocate(&self.file, FallocateFlags::KEEP_SIZE, self.end, reserved - self.end).is_ok() {
-                self.reserved = reserved;
-            }
+        let end = self.file.end() + self.waiting.len() as u64 + RESERVE / 2;
+        if end > self.reserved && self.file.reserve(end + RESERVE - self.file.end()) {
+            self.reserved = end + RESERVE;
         }
     }
 
     /// Gives back what was reserved and makes the ledger durable.
     pub(super) fn close(self) -> Result<(), RecordingError> {
-        self.file
-            .set_len(self.end)
-            .and_then(|()| self.gate.pass(Operation::Sync, &self.path))
-            .and_then(|()| self.file.sync_all())
-            .map_err(|source| RecordingError::storage(&self.path, "sync", source))
+        self.file.close()
     }
 }

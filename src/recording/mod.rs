@@ -14,6 +14,7 @@
 //!
 //! A commit writes pixels, then the pointer that makes readers see them, then the rows of the ledger.
 
+mod appended;
 mod direct;
 mod error;
 mod events;

@@ -4,9 +4,9 @@
 
 use super::ReplayError;
 use super::camera::{Cut, Reel};
-use super::clock::nanoseconds;
 use super::source::FrameSource;
 use super::timeline::ReplaySpeed;
+use sofiscope_hal::clock::nanoseconds;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 

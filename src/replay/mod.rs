@@ -13,7 +13,6 @@
 //! Numbers of exposures, frame ids, times of the cameras and intervals of arrival are those of the recording.
 
 mod camera;
-mod clock;
 mod control;
 mod dcimg;
 mod error;
@@ -26,12 +25,12 @@ mod stream;
 mod timeline;
 mod zarr;
 
+use sofiscope_hal::{Clock, MonotonicClock};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
 pub use camera::ReplayCamera;
-pub use clock::{Bell, Clock, MonotonicClock};
 pub use control::ReplayControl;
 pub use error::ReplayError;
 pub use open::open;

@@ -4,9 +4,9 @@
 //! Never: knows of a frame that the camera lost. Fails: [`ReplayError`] with file, page and field.
 
 use super::ReplayError;
-use super::clock::nanoseconds;
 use super::source::{FrameSource, Numbering, Opened, SourceFrame, check_frames, check_read, check_size};
 use crate::files::{ImageStack, SampleType};
+use sofiscope_hal::clock::nanoseconds;
 use sofiscope_hal::{BlockId, DeviceTime, Epoch, ExposureIndex, FrameStatus, HostTime};
 use std::path::Path;
 use std::time::Duration;

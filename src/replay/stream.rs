@@ -4,11 +4,11 @@
 //! Never: allocates, leaves a frame out because the reader is slow. Fails: as [`FrameStream`] says.
 
 use super::camera::{Cut, Reel};
-use super::clock::nanoseconds;
 use super::source::SourceFrame;
 use super::timeline::Due;
 use super::{Repeat, ReplayError};
 use crate::recording::RecordingError;
+use sofiscope_hal::clock::nanoseconds;
 use sofiscope_hal::{
     BlockId, DeviceError, DeviceTime, ErrorKind, ExposureIndex, FrameInfo, FrameStatus, FrameStream,
     HostTime, Region,

@@ -3,8 +3,7 @@
 //! In: the time now, pauses, speeds, arming and stopping. Out: when a frame is due.
 //! Never: waits. Fails: never.
 
-use super::clock::{Bell, Clock};
-use sofiscope_hal::{Channel, HostTime};
+use sofiscope_hal::{Bell, Channel, Clock, HostTime};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// How fast a replay goes.

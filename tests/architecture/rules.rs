@@ -192,5 +192,11 @@ pub(crate) fn unbounded_queues(sources: &[Source]) -> Vec<String> {
 }
 
 fn test_files(sources: &[Source]) -> Vec<String> {
-    sources.iter().flat_map(Source::test_files).collect()
+    let declared: Vec<String> = sources.iter().flat_map(Source::test_files).collect();
+    let is_below = |source: &&Source| {
+        let folder = |file: &String| file.trim_end_matches(".rs").to_owned() + "/";
+        declared.iter().any(|file| source.path.starts_with(&folder(file)))
+    };
+    let below: Vec<String> = sources.iter().filter(is_below).map(|source| source.path.clone()).collect();
+    [declared, below].concat()
 }

@@ -7,7 +7,7 @@ use sofiscope::acquisition::{
     Accounts, Dispatch, ExposureRecord, FramePair, FramePool, Grabber, GrabberStatus, HostClock, LeaveOut,
     Loss, Pairing, PairingEvent, PairingSettings, Patience, PressureGauge, Progress,
 };
-use sofiscope::pipeline::{Bell, Received, Receiver, WhenFull, bounded, latest};
+use sofiscope::pipeline::{Bell, Publisher, Received, Receiver, Viewer, WhenFull, bounded, latest};
 use sofiscope_hal::{
     Camera, CameraSettings, Channel, ExposureIndex, FrameStream, Region, TriggerMode, TriggerSource,
 };
@@ -28,12 +28,16 @@ const PERIOD: Duration = Duration::from_millis(20);
 pub(crate) struct Rates {
     pub(crate) analysis: Option<f64>,
     pub(crate) recording: Option<f64>,
+    /// The preview is drawn by the thread of the analysis from its pairs, into the latest picture.
+    pub(crate) preview: Option<f64>,
 }
 
 /// The cameras as the slow consumers see them.
 struct Source {
     status: Arc<GrabberStatus>,
     ended: AtomicBool,
+    /// Nothing more comes for the preview.
+    analyzed: AtomicBool,
 }
 
 /// What a run came to.
@@ -45,7 +49,13 @@ pub(crate) struct Outcome {
     pub(crate) recorded: [u64; 2],
     pub(crate) analyzed: u64,
     pub(crate) wrong_frames: u64,
+    /// Pairs with a frame of another exposure.
+    pub(crate) wrong_pairs: u64,
     pub(crate) missed_triggers: usize,
+    pub(crate) extra_triggers: usize,
+    /// Pictures that the preview took, and pairs that it went without.
+    pub(crate) previews_shown: u64,
+    pub(crate) previews_skipped: u64,
     /// Pairs that the analysis lost to a full queue while the preview was still allowed to work.
     pub(crate) analysis_lost_beside_preview: u64,
     /// Exposures whose frames the recording lost while their pair went to the analysis.
@@ -110,20 +120,25 @@ pub(crate) fn run(settings: InstrumentSettings, rates: Rates) -> Outcome {
         stop,
     };
     instrument.trigger().start(PERIOD, Some(exposures())).expect("the trigger is idle");
-    let source = &Source { status, ended: AtomicBool::new(false) };
+    let source = &Source { status, ended: AtomicBool::new(false), analyzed: AtomicBool::new(false) };
     let film = &shown;
     thread::scope(|scope| {
         let grabbing: Vec<_> =
             grabbers.into_iter().map(|grabber| scope.spawn(move || grabber.run())).collect();
         let dispatching = scope.spawn(move || dispatch.run());
-        let analyzing = scope.spawn(move || analyze(pairs, rates.analysis, source, film));
+        let (pictures, shown) = latest(0);
+        let preview = Preview { pictures, gauge, withheld: 0 };
+        let analyzing = scope.spawn(move || analyze(pairs, rates.analysis, source, film, preview));
+        let previewing = scope.spawn(move || watch(shown, rates.preview, source));
         let recording = scope.spawn(move || record(records, rates.recording, source, film));
         grabbing.into_iter().for_each(|grabber| drop(grabber.join().expect("a grabber does not panic")));
         source.ended.store(true, Ordering::Relaxed);
         let report = dispatching.join().expect("the dispatch does not panic");
-        let (analyzed, wrong_pairs) = analyzing.join().expect("the analysis does not panic");
+        let (analyzed, wrong_pairs, withheld) = analyzing.join().expect("the analysis does not panic");
+        let (previews_shown, replaced) = previewing.join().expect("the preview does not panic");
         let recorded = recording.join().expect("the recording does not panic");
         let missed = |event: &&PairingEvent| matches!(event, PairingEvent::MissedTriggers { .. });
+        let extra = |event: &&PairingEvent| matches!(event, PairingEvent::ExtraTriggers { .. });
         Outcome {
             missed_triggers: report.events.iter().filter(missed).count(),
             analysis_lost_beside_preview: report.lost_beside_preview,
@@ -133,6 +148,10 @@ pub(crate) fn run(settings: InstrumentSettings, rates: Rates) -> Outcome {
             records_in_order: recorded.in_order,
             recorded: recorded.frames,
             analyzed,
+            wrong_pairs,
+            extra_triggers: report.events.iter().filter(extra).count(),
+            previews_shown,
+            previews_skipped: replaced + withheld,
             wrong_frames: wrong_pairs + recorded.wrong,
             recording_lost_beside_analysis: recorded.lost_beside_analysis,
         }
@@ -172,8 +191,49 @@ fn keep_slow(ratio: Option<f64>, taken: u64, source: &Source) {
     }
 }
 
-/// Pairs taken, and how many of them show something else than their exposure.
-fn analyze(mut pairs: Receiver<FramePair>, ratio: Option<f64>, source: &Source, film: &Film) -> (u64, u64) {
+/// What the analysis shows of its work.
+struct Preview {
+    pictures: Publisher<u64>,
+    gauge: PressureGauge,
+    /// Pairs after which nothing was shown, as the preview had to go without.
+    withheld: u64,
+}
+
+impl Preview {
+    fn offer(&mut self, exposure: ExposureIndex) {
+        if self.gauge.preview_is_off() {
+            self.withheld += 1;
+        } else {
+            self.pictures.publish(exposure.0);
+        }
+    }
+}
+
+/// Pictures that the preview took, and those that were replaced before it came.
+fn watch(mut shown: Viewer<u64>, ratio: Option<f64>, source: &Source) -> (u64, u64) {
+    let (mut taken, mut newest) = (0, 0);
+    loop {
+        let is_last = source.analyzed.load(Ordering::Acquire);
+        if let Some((number, _)) = shown.look_if_new() {
+            taken += 1;
+            newest = number;
+            keep_slow(ratio, taken, source);
+        } else if is_last {
+            return (taken, newest - taken);
+        } else {
+            thread::yield_now();
+        }
+    }
+}
+
+/// Pairs taken, how many of them show something else than their exposure, and after how many nothing was shown.
+fn analyze(
+    mut pairs: Receiver<FramePair>,
+    ratio: Option<f64>,
+    source: &Source,
+    film: &Film,
+    mut preview: Preview,
+) -> (u64, u64, u64) {
     let (mut taken, mut wrong) = (0, 0);
     loop {
         match pairs.receive(Duration::from_secs(1)) {
@@ -182,10 +242,14 @@ fn analyze(mut pairs: Receiver<FramePair>, ratio: Option<f64>, source: &Source, 
                 let differs =
                     |channel: Channel| !shows(film, channel, exposure, frames[channel.index()].counts());
                 wrong += u64::from(Channel::BOTH.into_iter().any(differs));
+                preview.offer(exposure);
                 keep_slow(ratio, taken, source);
             }
             Received::Empty => {}
-            Received::Closed => return (taken, wrong),
+            Received::Closed => {
+                source.analyzed.store(true, Ordering::Release);
+                return (taken, wrong, preview.withheld);
+            }
         }
     }
 }

@@ -1,8 +1,8 @@
 //! Replay cameras keep the contract of cameras.
 
-use crate::common::{FORMATS, ManualClock, PERIOD, replay, whole_recording};
+use crate::common::{FORMATS, PERIOD, replay, whole_recording};
 use sofiscope::replay::{Repeat, Replay, ReplayCamera, ReplayOptions, ReplaySpeed};
-use sofiscope_hal::{Camera, CameraSettings, TriggerSource, conformance};
+use sofiscope_hal::{Camera, CameraSettings, ManualClock, TriggerSource, conformance};
 use std::sync::Arc;
 use std::time::Duration;
 

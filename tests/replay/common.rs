@@ -1,43 +1,19 @@
-//! What all tests of the replay room share: a clock that needs no time, recordings, reading to the end.
+//! What all tests of the replay room share: recordings, and reading to the end.
 
 use sofiscope::acquisition::{Analysis, ExposureRecord, Frame, FrameFacts, Loss, PairState, Side};
 use sofiscope::recording::{CameraDescription, Format, Recording, RecordingPlan, StopRecord, StopStatus};
-use sofiscope::replay::{Bell, Clock, Replay, ReplayCamera, ReplayOptions, open};
+use sofiscope::replay::{Replay, ReplayCamera, ReplayOptions, open};
 use sofiscope_hal::{
     BlockId, Camera, CameraIdentity, CameraSettings, Channel, DeviceTime, Epoch, ErrorKind, ExposureIndex,
     FrameInfo, FrameStatus, FrameStream, HostTime, Region, TriggerMode,
 };
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::time::Duration;
 
 pub(crate) const PERIOD: Duration = Duration::from_millis(5);
 pub(crate) const SIDE: u32 = 16;
 pub(crate) const LEN: usize = (SIDE * SIDE) as usize;
 pub(crate) const FORMATS: [Format; 2] = [Format::OmeTiff, Format::OmeZarr];
-
-/// Stands still until somebody waits: waiting brings it to the time awaited at once.
-#[derive(Debug, Default)]
-pub(crate) struct ManualClock(Mutex<u64>);
-
-impl ManualClock {
-    pub(crate) fn advance(&self, by: Duration) {
-        *self.0.lock().unwrap() += by.as_nanos() as u64;
-    }
-}
-
-impl Clock for ManualClock {
-    fn now(&self) -> HostTime {
-        HostTime(*self.0.lock().unwrap())
-    }
-
-    fn wait(&self, bell: &Bell, heard: u64, until: HostTime) {
-        if bell.rings() == heard {
-            let mut now = self.0.lock().unwrap();
-            *now = until.0.max(*now);
-        }
-    }
-}
 
 /// Pixels that differ from frame to frame and camera to camera.
 pub(crate) fn pixels(channel: Channel, exposure: u64) -> Vec<u16> {

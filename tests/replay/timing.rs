@@ -1,9 +1,9 @@
 //! Frames come when they came: intervals, jitter, gaps, at any speed, with pauses. No test waits.
 
-use crate::common::{LEN, ManualClock, armed, is_recorded, received_ns, recording, replay};
+use crate::common::{LEN, armed, is_recorded, received_ns, recording, replay};
 use sofiscope::recording::Format;
-use sofiscope::replay::{Clock, ReplayOptions, ReplaySpeed};
-use sofiscope_hal::{Camera, Channel, ErrorKind};
+use sofiscope::replay::{ReplayOptions, ReplaySpeed};
+use sofiscope_hal::{Camera, Channel, Clock, ErrorKind, ManualClock};
 use std::sync::Arc;
 use std::time::Duration;
 

@@ -13,12 +13,14 @@
 //! | [`units`] | quantities with their unit, always finite |
 //! | [`numbering`] | raw frame ids to [`ExposureIndex`], at the driver's edge |
 //! | [`time`] | clocks that must never be mixed |
+//! | [`clock`] | how cameras made of software wait for their time |
 //! | [`error`] | [`DeviceError`]: which device, what happened, what the caller can do |
 //! | [`conformance`] | what every driver must pass |
 //!
-//! In: nothing. Out: types and traits. Never: talks to a device, starts a thread, reads a clock.
+//! In: nothing. Out: types and traits. Never: talks to a device, starts a thread; only [`clock`] reads one.
 
 pub mod camera;
+pub mod clock;
 pub mod conformance;
 pub mod error;
 pub mod focus;
@@ -36,6 +38,7 @@ pub use camera::{
     Camera, CameraCapabilities, CameraIdentity, CameraSettings, FrameInfo, FrameStatus, FrameStream, Region,
     TriggerMode,
 };
+pub use clock::{Bell, Clock, ManualClock, MonotonicClock};
 pub use error::{DeviceError, ErrorKind};
 pub use focus::{FocusDrive, FocusReading, FocusSensor, Toward};
 pub use gate::{GateCapabilities, GateController, GatePattern, GateState, GateTrip};

@@ -5,7 +5,7 @@
 //!
 //! An id that is ahead by less than half of a turn is a later exposure, with everything between them missing,
 //! unless it is far ahead and the camera's clock says otherwise.
-//! An id that is behind by at most [`IdRule::reorder`] is an earlier exposure that comes late.
+//! An id that is behind by at most [`IdRule::reorder`] is an earlier exposure that comes late, if its time is earlier too.
 //! Anything else is a restart of the counter: a new [`Epoch`], whose first exposure is placed by device time.
 
 use crate::{DeviceTime, ExposureIndex};
@@ -88,6 +88,8 @@ pub struct ExposureNumbering {
     rule: IdRule,
     period: Duration,
     newest: Option<Newest>,
+    /// The last jump of the clock: the first exposure after it, and by how many nanoseconds it went.
+    jump: Option<(u64, i64)>,
     epoch: Epoch,
 }
 
@@ -99,7 +101,7 @@ impl ExposureNumbering {
     #[must_use]
     pub fn new(rule: IdRule, period: Duration) -> Self {
         assert!(rule.largest > rule.smallest, "a counter has more than one id");
-        Self { rule, period, newest: None, epoch: Epoch(0) }
+        Self { rule, period, newest: None, jump: None, epoch: Epoch(0) }
     }
 
     /// The exposure of a frame.
@@ -126,24 +128,51 @@ impl ExposureNumbering {
         let elapsed_ns = time.nanoseconds_since(newest.time);
         if ahead < turn / 2 && self.is_in_time(ahead, elapsed_ns) {
             let exposure = newest.exposure + ahead as u64;
+            let late_ns = elapsed_ns - self.due_ns(ahead);
+            if late_ns.unsigned_abs() > self.period_ns() as u64 {
+                self.jump = Some((exposure, late_ns));
+            }
             self.newest = Some(Newest { id: id.0, exposure, time });
             return Ok((ExposureIndex(exposure), self.epoch));
         }
         let behind = turn - ahead;
-        if behind <= u128::from(self.rule.reorder.min(newest.exposure)) {
+        let may_be_late = ahead > 0 && behind <= u128::from(self.rule.reorder.min(newest.exposure));
+        if may_be_late && self.is_earlier(newest.exposure - behind as u64, elapsed_ns, behind) {
             return Ok((ExposureIndex(newest.exposure - behind as u64), self.epoch));
         }
         self.restart(newest, id, time)
     }
 
     /// Whether a gap of so many ids took about as long as so many exposures; short gaps are always believed,
-    /// as clocks may step and triggers may be missed.
+    /// as clocks may step and triggers may be missed. The same id again is the same frame, of the same time.
     fn is_in_time(&self, ahead: u128, elapsed_ns: i64) -> bool {
+        if ahead == 0 {
+            return elapsed_ns.abs() <= self.period_ns() / 2;
+        }
         if ahead <= u128::from(self.rule.reorder) {
             return true;
         }
         let due_ns = ahead as f64 * self.period.as_nanos() as f64;
         (elapsed_ns as f64 - due_ns).abs() <= due_ns / 2.0
+    }
+
+    /// Whether the time of a frame that may be late says that it is: it is the earlier one, or would be had the
+    /// clock not been set back after it.
+    fn is_earlier(&self, exposure: u64, elapsed_ns: i64, behind: u128) -> bool {
+        elapsed_ns <= 0
+            || self.jump.is_some_and(|(after, jump_ns)| {
+                let before_ns = elapsed_ns.saturating_add(self.due_ns(behind)).saturating_add(jump_ns);
+                exposure < after && before_ns.abs() <= self.period_ns()
+            })
+    }
+
+    fn period_ns(&self) -> i64 {
+        i64::try_from(self.period.as_nanos()).unwrap_or(i64::MAX).max(1)
+    }
+
+    /// The time that so many exposures take.
+    fn due_ns(&self, exposures: u128) -> i64 {
+        i64::try_from(exposures).unwrap_or(i64::MAX).saturating_mul(self.period_ns())
     }
 
     /// Ids from `from` to `to` along the counter, 0 to a turn.
@@ -226,6 +255,35 @@ mod tests {
         assert_eq!(numbering.exposure_of(BlockId(1), at(3)), Ok((ExposureIndex(3), Epoch(1))));
         assert_eq!(numbering.exposure_of(BlockId(20), at(22)), Ok((ExposureIndex(22), Epoch(1))));
         assert_eq!(numbering.exposure_of(BlockId(1020), at(1022)), Ok((ExposureIndex(1022), Epoch(1))));
+    }
+
+    #[test]
+    fn a_restart_soon_after_arming_or_wrapping_is_no_late_frame() {
+        for (rule, from) in [(IdRule::FROM_ZERO, 0), (IdRule::GIGE_VISION_16_BIT, 1)] {
+            for restart in [1, 2, 20, 63] {
+                let mut numbering = ExposureNumbering::new(rule, PERIOD);
+                for exposure in 0..restart {
+                    numbering.exposure_of(BlockId(from + exposure), at(exposure)).unwrap();
+                }
+                for exposure in restart..200 {
+                    let found = numbering.exposure_of(BlockId(from + exposure - restart), at(exposure));
+                    assert_eq!(found, Ok((ExposureIndex(exposure), Epoch(1))), "restart at {restart}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_frame_from_before_the_clock_was_set_back_may_still_come_late() {
+        let mut numbering = ExposureNumbering::new(IdRule::FROM_ZERO, PERIOD);
+        let set_back = |exposure: u64| DeviceTime(at(exposure).0 - 1_000_000_000);
+        for exposure in [0, 1, 2, 3, 5] {
+            numbering.exposure_of(BlockId(exposure), at(exposure)).unwrap();
+        }
+        for (exposure, time) in [(7, set_back(7)), (4, at(4)), (6, at(6)), (8, set_back(8))] {
+            let found = numbering.exposure_of(BlockId(exposure), time);
+            assert_eq!(found, Ok((ExposureIndex(exposure), Epoch(0))), "{exposure}");
+        }
     }
 
     #[test]

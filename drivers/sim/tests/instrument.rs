@@ -8,11 +8,10 @@ use std::time::Duration;
 use proptest::prelude::*;
 use sofiscope_hal::{
     Camera, CameraSettings, Channel, Epoch, ErrorKind, ExposureIndex, FrameInfo, FrameStatus, FrameStream,
-    Region, TriggerMode, TriggerSource, conformance,
+    ManualClock, Region, TriggerMode, TriggerSource, conformance,
 };
 use sofiscope_sim::instrument::{
-    Bursts, CameraFaults, ClockStep, Counter, IncidentKind, ManualClock, Pace, SimulatedCamera,
-    SimulatedTrigger,
+    Bursts, CameraFaults, ClockStep, Counter, IncidentKind, Pace, SimulatedCamera, SimulatedTrigger,
 };
 use sofiscope_sim::{Film, InstrumentSettings, Oracle, Scenario, Scene, SimulatedInstrument, Source, World};
 
@@ -27,32 +26,12 @@ fn film() -> Film {
 }
 
 fn world() -> World {
-    let text = format!(
-        r#"
-name = "test"
-frames = 400
-exposure_ms = 10.0
-height_px = {HEIGHT}
-width_px = {WIDTH}
-seed = 1
-background_photons_per_exposure = 5.0
-[optics]
-pixel_pitch_nm = 108.0
-numerical_aperture = 1.27
-[[species]]
-name = "Dye"
-transmission = 0.35
-emission_nm = 592.0
-i_on_photons = 400.0
-tau_on_ms = 20.0
-tau_off_ms = 180.0
-[[species.filament]]
-from_px = [5.0, 5.0]
-to_px = [5.0, 15.0]
-width_px = 0.4
-density_per_um2 = 1000.0
-"#
-    );
+    let text = include_str!("minimal.toml")
+        .replace("frames = 10", "frames = 400")
+        .replace("exposure_ms = 20.0", "exposure_ms = 10.0")
+        .replace("height_px = 32", &format!("height_px = {HEIGHT}"))
+        .replace("width_px = 40", &format!("width_px = {WIDTH}"))
+        .replace("to_px = [5.0, 30.0]", "to_px = [5.0, 15.0]");
     World::new(&Scene::from_toml(&text).unwrap(), 5)
 }
 

@@ -5,11 +5,11 @@
 
 use std::collections::BTreeMap;
 
-use super::super::form::Faults;
-use super::super::names::{plain, suggestion};
+use super::super::names::suggestion;
 use super::raw::{Place, RawCoefficient, RawDichroic, RawFluorophore};
 use super::{Dichroic, Fluorophore, Named, nearest_names};
 use crate::sofi::spectra::SpectralResponse;
+use sofiscope_form::{Faults, plain};
 
 pub(super) fn fluorophores(raw: Vec<RawFluorophore>, faults: &Faults<'_>) -> Vec<Fluorophore> {
     let mut names = Names::default();

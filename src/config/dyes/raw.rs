@@ -3,7 +3,7 @@
 //! In: text in TOML. Out: entries with their places in the text. Never: compares two entries.
 //! Fails: never at once; all faults are noted.
 
-use super::super::form::{Faults, Form, read};
+use sofiscope_form::{Faults, Form, read};
 
 /// Emission maxima that microscopes see.
 const EMISSION_NM: std::ops::RangeInclusive<f64> = 300.0..=2000.0;
@@ -45,16 +45,16 @@ pub(super) struct RawCoefficient {
     pub(super) reflection: Option<f64>,
 }
 
-pub(super) fn fluorophores(text: &str, faults: &Faults<'_>) -> Vec<RawFluorophore> {
-    read(text, faults, |form| each(form, "fluorophore", fluorophore))
+pub(super) fn fluorophores(faults: &Faults<'_>) -> Vec<RawFluorophore> {
+    read(faults, |form| each(form, "fluorophore", fluorophore)).unwrap_or_default()
 }
 
-pub(super) fn dichroics(text: &str, faults: &Faults<'_>) -> Vec<RawDichroic> {
-    read(text, faults, |form| each(form, "dichroic", dichroic))
+pub(super) fn dichroics(faults: &Faults<'_>) -> Vec<RawDichroic> {
+    read(faults, |form| each(form, "dichroic", dichroic)).unwrap_or_default()
 }
 
 fn each<T>(form: &Form<'_>, key: &'static str, entry: impl Fn(&Form<'_>) -> T) -> Vec<T> {
-    let entries = form.tables(key).into_iter().map(|inner| {
+    let entries = form.some_tables(key).into_iter().map(|inner| {
         let value = entry(&inner);
         inner.finish();
         value
@@ -66,7 +66,7 @@ fn fluorophore(form: &Form<'_>) -> RawFluorophore {
     RawFluorophore {
         at: place(form, "name"),
         name: form.text("name"),
-        aliases: form.texts("aliases"),
+        aliases: form.texts_if_any("aliases", 0..=usize::MAX),
         emission_nm: form.number_if_any("emission_nm", EMISSION_NM),
     }
 }
@@ -75,7 +75,7 @@ fn dichroic(form: &Form<'_>) -> RawDichroic {
     RawDichroic {
         at: place(form, "name"),
         name: form.text("name"),
-        aliases: form.texts("aliases"),
+        aliases: form.texts_if_any("aliases", 0..=usize::MAX),
         about: form.prose("about"),
         coefficients: each(form, "coefficients", coefficient),
     }

@@ -1,8 +1,5 @@
 //! From the instrument file as typed to one that can be believed.
 
-use std::collections::BTreeMap;
-use std::time::Duration;
-
 use sofiscope_hal::{Channel, Region};
 
 use super::raw::{self, RawCamera, RawInstrument, RawSimulation};
@@ -10,9 +7,9 @@ use super::{
     CameraEntry, CameraKind, Instrument, InstrumentFaults, Limits, Simulation, TriggerKind, VERSION,
 };
 use crate::config::dyes::Catalogue;
-use crate::config::nearest;
+use crate::config::judge::Judge;
 use crate::config::section::Findings;
-use crate::config::tree::{Node, Places};
+use crate::config::tree::Node;
 
 pub(super) fn read(text: &str) -> Result<Instrument, InstrumentFaults> {
     let node = Node::from_toml(text).map_err(|faults| InstrumentFaults { faults })?;
@@ -20,7 +17,7 @@ pub(super) fn read(text: &str) -> Result<Instrument, InstrumentFaults> {
     let document: toml::Table = toml::from_str(text).unwrap_or_default();
     let faults = document.get("faults").and_then(toml::Value::as_table).cloned();
     let raw = raw::read(&node, faults, &findings);
-    let check = Check { findings: &findings, places: &raw.places };
+    let check = Check { judge: Judge { findings: &findings, places: &raw.places, assign: " = " } };
     let instrument = check.instrument(&raw);
     let mut faults = findings.into_list();
     // A key that could not be read is not missing as well.
@@ -34,62 +31,25 @@ pub(super) fn read(text: &str) -> Result<Instrument, InstrumentFaults> {
 }
 
 struct Check<'a> {
-    findings: &'a Findings,
-    places: &'a Places,
+    judge: Judge<'a>,
 }
 
 impl Check<'_> {
-    fn fault(&self, key: &str, message: impl Into<String>, remedy: impl Into<String>) {
-        self.findings.note(self.places.line(key), key, message.into(), remedy.into());
-    }
-
-    fn required<T>(&self, key: &str, value: Option<T>, example: &str) -> Option<T> {
-        if value.is_none() {
-            let name = key.rsplit('.').next().unwrap_or(key);
-            self.fault(key, "is missing", format!("add `{name} = {example}`"));
-        }
-        value
-    }
-
-    fn within(&self, key: &str, value: f64, from: f64, to: f64) -> f64 {
-        if !(from..=to).contains(&value) {
-            self.fault(key, format!("is {value}"), format!("give a number from {from} to {to}"));
-        }
-        value
-    }
-
-    fn milliseconds(&self, key: &str, value: f64) -> Duration {
-        let value = self.within(key, value, 0.001, 600_000.0);
-        Duration::try_from_secs_f64(value / 1000.0).unwrap_or_default()
-    }
-
-    fn choice<T: Copy>(&self, key: &str, name: &str, known: &[(&str, T)]) -> Option<T> {
-        let found = known.iter().find(|(known, _)| *known == name).map(|(_, value)| *value);
-        if found.is_none() {
-            let names: Vec<&str> = known.iter().map(|(name, _)| *name).collect();
-            let near = nearest(name, names.iter().copied()).first().map(|near| format!("write \"{near}\""));
-            let remedy = near.unwrap_or_else(|| format!("give one of {}", names.join(", ")));
-            self.fault(key, format!("\"{name}\" is not known"), remedy);
-        }
-        found
-    }
-
     fn instrument(&self, raw: &RawInstrument) -> Instrument {
-        match raw.top.version {
-            None => self.fault("version", "is missing", format!("add `version = {VERSION}`")),
-            Some(VERSION) => {}
-            Some(other) => {
-                let message = format!("is {other}, and this program reads version {VERSION}");
-                self.fault("version", message, "convert the file, or use the program it was written for");
-            }
+        if let Some(version) = self.judge.required("version", raw.top.version, "1") {
+            self.judge.version("version", &version, &VERSION);
         }
-        let name = self.required("name", raw.top.name.clone(), "\"...\"").unwrap_or_default();
-        let pitch = self.required("pixel_pitch_nm", raw.top.pixel_pitch_nm, "108.0").unwrap_or(108.0);
+        let name = self.judge.required("name", raw.top.name.clone(), "\"...\"").unwrap_or_default();
+        let pitch = self.judge.required("pixel_pitch_nm", raw.top.pixel_pitch_nm, "108.0").unwrap_or(108.0);
         let aperture = raw.top.numerical_aperture;
         if let Some(dichroic) = &raw.top.dichroic
             && let Err(error) = Catalogue::built_in().dichroic(dichroic)
         {
-            self.fault("dichroic", error.to_string(), "give the name of a dichroic of config/dichroics.toml");
+            self.judge.fault(
+                "dichroic",
+                error.to_string(),
+                "give the name of a dichroic of config/dichroics.toml",
+            );
         }
         let cameras = self.cameras(raw);
         let trigger = self.trigger(raw);
@@ -98,8 +58,9 @@ impl Check<'_> {
             name,
             cameras,
             trigger,
-            pixel_pitch_nm: self.within("pixel_pitch_nm", pitch, 1.0, 100_000.0),
-            numerical_aperture: aperture.map(|value| self.within("numerical_aperture", value, 0.01, 2.0)),
+            pixel_pitch_nm: self.judge.within("pixel_pitch_nm", pitch, 1.0, 100_000.0),
+            numerical_aperture: aperture
+                .map(|value| self.judge.within("numerical_aperture", value, 0.01, 2.0)),
             dichroic: raw.top.dichroic.clone(),
             limits: self.limits(raw),
             simulation,
@@ -116,8 +77,8 @@ impl Check<'_> {
             .filter_map(|(channel, key, camera)| Some(self.camera(channel, key, camera.as_ref()?)))
             .collect();
         match cameras.as_slice() {
-            [] => self.fault("camera", "no camera is there", "add `[camera.reflected]`"),
-            [r, t] if r.serial.is_some() && r.serial == t.serial => self.fault(
+            [] => self.judge.fault("camera", "no camera is there", "add `[camera.reflected]`"),
+            [r, t] if r.serial.is_some() && r.serial == t.serial => self.judge.fault(
                 "camera.transmitted.serial",
                 "is the serial of both cameras",
                 "give each camera its own serial number",
@@ -130,18 +91,19 @@ impl Check<'_> {
     fn camera(&self, channel: Channel, key: &str, raw: &RawCamera) -> CameraEntry {
         let name = |field: &str| format!("{key}.{field}");
         let kind = self
+            .judge
             .required(&name("kind"), raw.kind.as_deref(), "\"simulated\"")
-            .and_then(|kind| self.choice(&name("kind"), kind, &CameraKind::NAMES))
+            .and_then(|kind| self.judge.choice(&name("kind"), kind, &CameraKind::NAMES))
             .unwrap_or(CameraKind::Simulated);
         if kind != CameraKind::Simulated {
-            self.required(&name("serial"), raw.serial.as_ref(), "\"...\", as printed on the camera");
+            self.judge.required(&name("serial"), raw.serial.as_ref(), "\"...\", as printed on the camera");
         }
-        let exposure = self.required(&name("exposure_ms"), raw.exposure_ms, "20.0").unwrap_or(20.0);
-        let exposure = self.milliseconds(&name("exposure_ms"), exposure);
-        let period = raw.period_ms.map(|period| self.milliseconds(&name("period_ms"), period));
+        let exposure = self.judge.required(&name("exposure_ms"), raw.exposure_ms, "20.0").unwrap_or(20.0);
+        let exposure = self.judge.milliseconds(&name("exposure_ms"), exposure);
+        let period = raw.period_ms.map(|period| self.judge.milliseconds(&name("period_ms"), period));
         let period = period.unwrap_or(exposure);
         if period < exposure {
-            self.fault(
+            self.judge.fault(
                 &name("period_ms"),
                 "is shorter than the exposure",
                 format!("give at least {} ms", exposure.as_secs_f64() * 1000.0),
@@ -156,12 +118,7 @@ impl Check<'_> {
         {
             return None;
         }
-        let size = |field: &str, value: Option<u32>| {
-            let key = format!("{key}.{field}");
-            let value = self.required(&key, value, "512").unwrap_or(512);
-            self.within(&key, f64::from(value), 4.0, 65_536.0);
-            value
-        };
+        let size = |field: &str, value| self.judge.pixels(&format!("{key}.{field}"), value);
         Some(Region {
             left: raw.left_px.unwrap_or(0),
             top: raw.top_px.unwrap_or(0),
@@ -172,25 +129,16 @@ impl Check<'_> {
 
     fn trigger(&self, raw: &RawInstrument) -> TriggerKind {
         let kind = raw.trigger.as_ref().and_then(|trigger| trigger.kind.as_deref());
-        self.required("trigger.kind", kind, "\"simulated\"")
-            .and_then(|kind| self.choice("trigger.kind", kind, &TriggerKind::NAMES))
+        self.judge
+            .required("trigger.kind", kind, "\"simulated\"")
+            .and_then(|kind| self.judge.choice("trigger.kind", kind, &TriggerKind::NAMES))
             .unwrap_or(TriggerKind::FreeRunning)
     }
 
     fn limits(&self, raw: &RawInstrument) -> Limits {
         let limits = &raw.limits;
-        let time = |key: &str, value: Option<f64>| value.map(|value| self.milliseconds(key, value));
-        let mut laser_power_mw = BTreeMap::new();
-        for (line, &power) in limits.laser_power_mw.iter().flatten() {
-            let key = format!("limits.laser_power_mw.{line}");
-            let power = self.within(&key, power, 0.0, 100_000.0);
-            match line.parse::<u32>() {
-                Ok(line @ 200..=2000) => {
-                    laser_power_mw.insert(line, power);
-                }
-                _ => self.fault(&key, "is no laser line", "write the wavelength in nm, such as 488 = 50.0"),
-            }
-        }
+        let time = |key: &str, value: Option<f64>| value.map(|value| self.judge.milliseconds(key, value));
+        let laser_power_mw = self.judge.laser_power("limits.laser_power_mw", limits.laser_power_mw.as_ref());
         Limits {
             shortest_period: time("limits.shortest_period_ms", limits.shortest_period_ms),
             longest_exposure: time("limits.longest_exposure_ms", limits.longest_exposure_ms),
@@ -208,7 +156,7 @@ impl Check<'_> {
         if cameras.iter().any(|camera| camera.kind != CameraKind::Simulated)
             && trigger == TriggerKind::Simulated
         {
-            self.fault(
+            self.judge.fault(
                 "trigger.kind",
                 "is simulated, but a camera is not",
                 "name the trigger that is connected",
@@ -216,16 +164,20 @@ impl Check<'_> {
         }
         match &raw.simulation {
             None if is_simulated => {
-                self.fault("simulation", "is missing", "add `[simulation]` with `scene = \"figure-s4\"`");
+                self.judge.fault(
+                    "simulation",
+                    "is missing",
+                    "add `[simulation]` with `scene = \"figure-s4\"`",
+                );
                 None
             }
             Some(_) if !is_simulated && !cameras.is_empty() => {
-                self.fault("simulation", "is there, but no camera is simulated", "remove it");
+                self.judge.fault("simulation", "is there, but no camera is simulated", "remove it");
                 None
             }
             None => {
                 if raw.faults.is_some() {
-                    self.fault("faults", "is there, but no camera is simulated", "remove it");
+                    self.judge.fault("faults", "is there, but no camera is simulated", "remove it");
                 }
                 None
             }
@@ -234,12 +186,12 @@ impl Check<'_> {
     }
 
     fn simulated(&self, raw: &RawSimulation, faults: Option<toml::Table>) -> Simulation {
-        let scene = self.required("simulation.scene", raw.scene.clone(), "\"figure-s4\"");
+        let scene = self.judge.required("simulation.scene", raw.scene.clone(), "\"figure-s4\"");
         if let Some(film) = raw.film_frames {
-            self.within("simulation.film_frames", film as f64, 2.0, 1e7);
+            self.judge.within("simulation.film_frames", film as f64, 2.0, 1e7);
         }
         if raw.fault_scenario.is_some() && faults.is_some() {
-            self.fault(
+            self.judge.fault(
                 "simulation.fault_scenario",
                 "names a file, and `[faults]` is here too",
                 "keep one of them",
@@ -248,7 +200,7 @@ impl Check<'_> {
         Simulation {
             scene: scene.unwrap_or_default(),
             seed: raw.seed,
-            speed: self.within("simulation.speed", raw.speed.unwrap_or(1.0), 0.0, 1000.0),
+            speed: self.judge.within("simulation.speed", raw.speed.unwrap_or(1.0), 0.0, 1000.0),
             film_frames: raw.film_frames,
             fault_scenario: raw.fault_scenario.clone(),
             faults,
@@ -284,7 +236,7 @@ mod tests {
             assert!(lines.contains(&line), "{line}: {found:#?}");
         }
         assert!(found.iter().any(|fault| fault.contains("write `name`")), "{found:#?}");
-        assert!(found.iter().any(|fault| fault.contains("write \"simulated\"")), "{found:#?}");
+        assert!(found.iter().any(|fault| fault.contains("write `simulated`")), "{found:#?}");
         assert!(found.iter().any(|fault| fault.contains("write `exposure_ms`")), "{found:#?}");
     }
 

@@ -1,6 +1,5 @@
 //! From the plan as typed to one that can be believed.
 
-use std::collections::BTreeMap;
 use std::time::Duration;
 
 use sofiscope_hal::Region;
@@ -9,7 +8,7 @@ use super::raw::{self, RawPlan, RawRegion};
 use super::{
     CameraWish, OnRecordDrop, Plan, PlanFaults, Readback, RecordingFormat, StagePosition, TRIGGERS, VERSION,
 };
-use crate::config::{AnalysisSettings, Catalogue, Findings, Node, nearest};
+use crate::config::{AnalysisSettings, Catalogue, Findings, Judge, Node};
 use crate::control::stop_rule::StopRule;
 
 const OURS: &str = "metadata.sofiscope";
@@ -36,65 +35,32 @@ impl TryFrom<RawPlan> for Plan {
     type Error = PlanFaults;
 
     fn try_from(raw: RawPlan) -> Result<Self, PlanFaults> {
-        let check = Check { findings: Findings::default(), raw: &raw };
-        let plan = check.plan();
-        let faults = check.findings.into_list();
+        let findings = Findings::default();
+        let judge = Judge { findings: &findings, places: &raw.places, assign: ": " };
+        let plan = Check { judge, raw: &raw }.plan();
+        let faults = findings.into_list();
         if faults.is_empty() { Ok(plan) } else { Err(PlanFaults { faults }) }
     }
 }
 
 struct Check<'a> {
-    findings: Findings,
+    judge: Judge<'a>,
     raw: &'a RawPlan,
 }
 
 impl Check<'_> {
-    fn fault(&self, key: &str, message: impl Into<String>, remedy: impl Into<String>) {
-        self.findings.note(self.raw.places.line(key), key, message.into(), remedy.into());
-    }
-
-    fn within(&self, key: &str, value: f64, from: f64, to: f64) -> f64 {
-        if !(from..=to).contains(&value) {
-            self.fault(key, format!("is {value}"), format!("give a number from {from} to {to}"));
-        }
-        value
-    }
-
-    fn milliseconds(&self, key: &str, value: f64) -> Duration {
-        let value = self.within(key, value, 0.001, 600_000.0);
-        Duration::try_from_secs_f64(value / 1000.0).unwrap_or_default()
-    }
-
     fn choice<T: Copy + Default>(&self, key: &str, name: Option<&str>, known: &[(&str, T)]) -> T {
-        name.and_then(|name| self.chosen(key, name, known)).unwrap_or_default()
-    }
-
-    fn chosen<T: Copy>(&self, key: &str, name: &str, known: &[(&str, T)]) -> Option<T> {
-        if let Some((_, value)) = known.iter().find(|(known, _)| *known == name) {
-            return Some(*value);
-        }
-        let names: Vec<&str> = known.iter().map(|(name, _)| *name).collect();
-        let near = nearest(name, names.iter().copied()).first().map(|near| format!("write `{near}`"));
-        let remedy = near.unwrap_or_else(|| format!("give one of {}", names.join(", ")));
-        self.fault(key, format!("\"{name}\" is not known"), remedy);
-        None
+        name.and_then(|name| self.judge.choice(key, name, known)).unwrap_or_default()
     }
 
     fn plan(&self) -> Plan {
         let raw = self.raw;
         self.axes();
-        let version = raw.run.version.unwrap_or(VERSION);
-        if version != VERSION {
-            self.fault(
-                &format!("{OURS}.version"),
-                format!("is {version}, and this program reads version {VERSION}"),
-                "convert the plan, or use the program it was written for",
-            );
-        }
+        self.judge.version(&format!("{OURS}.version"), &raw.run.version.unwrap_or(VERSION), &VERSION);
         let loops = self.loops();
         let stop = self.stop();
         if raw.time.is_none() && !stop.has_end() {
-            self.fault(
+            self.judge.fault(
                 "time_plan",
                 "the plan has no end",
                 format!("add `time_plan: {{interval: 0, loops: 4000}}`, or an end in `{OURS}.stop`"),
@@ -109,7 +75,7 @@ impl Check<'_> {
             loops,
             cameras: self.cameras(),
             analysis: raw.analysis.clone(),
-            laser_power_mw: self.lasers(),
+            laser_power_mw: self.judge.laser_power(&key("laser_power_mw"), raw.run.laser_power_mw.as_ref()),
             stop,
             on_record_drop: self.choice(
                 &key("on_record_drop"),
@@ -127,15 +93,15 @@ impl Check<'_> {
             let unknown = order.chars().find(|axis| !"tpgcz".contains(*axis));
             let is_twice = order.char_indices().any(|(at, axis)| order[..at].contains(axis));
             if let Some(axis) = unknown {
-                self.fault("axis_order", format!("has an axis {axis}"), "use t, p, g, c and z");
+                self.judge.fault("axis_order", format!("has an axis {axis}"), "use t, p, g, c and z");
             } else if is_twice {
-                self.fault("axis_order", "has an axis twice", "write every axis once, such as ptc");
+                self.judge.fault("axis_order", "has an axis twice", "write every axis once, such as ptc");
             } else if self.raw.positions.len() > 1
                 && order.find('t').unwrap_or(usize::MAX) < order.find('p').unwrap_or(usize::MAX)
             {
                 let reason = "has time outside of positions, which is not supported yet: \
                               the stage would move between the exposures of a series";
-                self.fault("axis_order", reason, "write p before t, such as ptc");
+                self.judge.fault("axis_order", reason, "write p before t, such as ptc");
             }
         }
         if let Some(open) = self.raw.top.keep_shutter_open_across.as_ref().map(raw::RawAxes::word)
@@ -146,16 +112,16 @@ impl Check<'_> {
             } else {
                 "is not supported yet without t: exposures of a series follow each other without a gap"
             };
-            self.fault("keep_shutter_open_across", reason, "write [t]");
+            self.judge.fault("keep_shutter_open_across", reason, "write [t]");
         }
     }
 
     fn loops(&self) -> Option<u64> {
         let time = self.raw.time.as_ref()?;
         match time.loops {
-            None => self.fault("time_plan.loops", "is missing", "add `loops`, the number of exposures"),
+            None => self.judge.fault("time_plan.loops", "is missing", "add `loops`, the number of exposures"),
             Some(loops) => {
-                self.within("time_plan.loops", loops as f64, 1.0, 1e10);
+                self.judge.within("time_plan.loops", loops as f64, 1.0, 1e10);
             }
         }
         time.loops
@@ -163,10 +129,11 @@ impl Check<'_> {
 
     fn stop(&self) -> StopRule {
         let (stop, key) = (&self.raw.stop, |name: &str| format!("{OURS}.stop.{name}"));
-        let within =
-            |name, value: Option<f64>, from, to| value.map(|value| self.within(&key(name), value, from, to));
+        let within = |name, value: Option<f64>, from, to| {
+            value.map(|value| self.judge.within(&key(name), value, from, to))
+        };
         if let Some(frames) = stop.frames {
-            self.within(&key("frames"), frames as f64, 1.0, 1e10);
+            self.judge.within(&key("frames"), frames as f64, 1.0, 1e10);
         }
         let seconds = within("seconds", stop.seconds, 0.001, 1e7);
         let dose = self.raw.run.dose_limit_mj;
@@ -175,7 +142,7 @@ impl Check<'_> {
             time: seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok()),
             snr: within("snr", stop.snr, 0.01, 1e6),
             resolution_nm: within("resolution_nm", stop.resolution_nm, 1.0, 1e5),
-            dose_mj: dose.map(|dose| self.within(&format!("{OURS}.dose_limit_mj"), dose, 1e-6, 1e12)),
+            dose_mj: dose.map(|dose| self.judge.within(&format!("{OURS}.dose_limit_mj"), dose, 1e-6, 1e12)),
         }
     }
 
@@ -184,12 +151,12 @@ impl Check<'_> {
             let key = format!("stage_positions[{index}]");
             let place = [position.x, position.y, position.z];
             if place.iter().all(Option::is_none) {
-                self.fault(&key, "names no place", "give x and y in micrometers");
+                self.judge.fault(&key, "names no place", "give x and y in micrometers");
             } else if position.x.is_some() != position.y.is_some() {
-                self.fault(&key, "has only one of x and y", "give both in micrometers, or none");
+                self.judge.fault(&key, "has only one of x and y", "give both in micrometers, or none");
             }
             for (axis, value) in ["x", "y", "z"].into_iter().zip(place) {
-                value.map(|value| self.within(&format!("{key}.{axis}"), value, -1e6, 1e6));
+                value.map(|value| self.judge.within(&format!("{key}.{axis}"), value, -1e6, 1e6));
             }
             StagePosition { name: position.name.clone(), x_um: place[0], y_um: place[1], z_um: place[2] }
         });
@@ -198,7 +165,7 @@ impl Check<'_> {
 
     fn channel(&self) -> Option<raw::RawChannel> {
         if self.raw.channels.len() > 1 {
-            self.fault(
+            self.judge.fault(
                 "channels[1]",
                 "is not supported yet: all dyes are seen in every exposure, so there is one channel",
                 "keep one channel, and name the dyes in `metadata.sofiscope.analysis.species`",
@@ -212,19 +179,19 @@ impl Check<'_> {
         let of_channel = self.raw.channels.first().and_then(|channel| channel.exposure);
         match (self.raw.cameras.exposure_ms, of_channel) {
             (None, None) => {
-                self.fault(&key, "is missing", "add `exposure_ms: 20.0`");
+                self.judge.fault(&key, "is missing", "add `exposure_ms: 20.0`");
                 Duration::ZERO
             }
             (Some(given), Some(other)) if given != other => {
-                self.fault(
+                self.judge.fault(
                     "channels[0].exposure",
                     format!("is {other} ms, and `{key}` is {given} ms"),
                     "keep one of them",
                 );
                 Duration::ZERO
             }
-            (Some(given), _) => self.milliseconds(&key, given),
-            (None, Some(given)) => self.milliseconds("channels[0].exposure", given),
+            (Some(given), _) => self.judge.milliseconds(&key, given),
+            (None, Some(given)) => self.judge.milliseconds("channels[0].exposure", given),
         }
     }
 
@@ -232,11 +199,12 @@ impl Check<'_> {
         let key = format!("{OURS}.cameras.period_ms");
         let interval = self.raw.time.as_ref().and_then(|time| time.interval.as_ref());
         let interval_ms = interval.map(raw::RawInterval::seconds).filter(|&seconds| seconds != 0.0);
-        let interval = interval_ms.map(|seconds| self.milliseconds("time_plan.interval", seconds * 1000.0));
-        let given = self.raw.cameras.period_ms.map(|period| self.milliseconds(&key, period));
+        let interval =
+            interval_ms.map(|seconds| self.judge.milliseconds("time_plan.interval", seconds * 1000.0));
+        let given = self.raw.cameras.period_ms.map(|period| self.judge.milliseconds(&key, period));
         let period = match (given, interval) {
             (Some(given), Some(interval)) if given != interval => {
-                self.fault(
+                self.judge.fault(
                     "time_plan.interval",
                     format!("is {interval:?}, and `{key}` is {given:?}"),
                     "write `interval: 0`, or leave period_ms out",
@@ -245,13 +213,13 @@ impl Check<'_> {
             }
             (Some(period), _) | (None, Some(period)) => period,
             (None, None) => {
-                self.fault(&key, "is missing", "add `period_ms`, the time from exposure to exposure");
+                self.judge.fault(&key, "is missing", "add `period_ms`, the time from exposure to exposure");
                 return exposure;
             }
         };
         if period < exposure {
             let key = if given.is_some() { key.as_str() } else { "time_plan.interval" };
-            self.fault(
+            self.judge.fault(
                 key,
                 format!("is {period:?}, shorter than the exposure of {exposure:?}"),
                 "make it longer, or the exposure shorter",
@@ -266,7 +234,7 @@ impl Check<'_> {
         let key = |name: &str| format!("{OURS}.cameras.{name}");
         let regions = &self.raw.regions;
         if self.raw.setup_region.is_some() && regions.region.is_some() {
-            self.fault("setup.roi", "is given beside the region of the cameras", "keep one of them");
+            self.judge.fault("setup.roi", "is given beside the region of the cameras", "keep one of them");
         }
         let setup = self.region("setup.roi", self.raw.setup_region.as_ref());
         let common = self.region(&key("region"), regions.region.as_ref()).or(setup);
@@ -275,7 +243,7 @@ impl Check<'_> {
         if let (Some(r), Some(t)) = (reflected, transmitted)
             && (r.width, r.height) != (t.width, t.height)
         {
-            self.fault(
+            self.judge.fault(
                 &key("transmitted.region"),
                 format!(
                     "has {} x {} pixels, and that of camera R {} x {}",
@@ -289,7 +257,7 @@ impl Check<'_> {
             exposure,
             period: self.period(exposure),
             regions: [reflected, transmitted],
-            trigger: trigger.and_then(|name| self.chosen(&key("trigger"), name, &TRIGGERS)),
+            trigger: trigger.and_then(|name| self.judge.choice(&key("trigger"), name, &TRIGGERS)),
             readback: match cameras.accept_readback {
                 Some(true) => Readback::Accept,
                 _ => Readback::Refuse,
@@ -299,16 +267,7 @@ impl Check<'_> {
 
     fn region(&self, key: &str, region: Option<&RawRegion>) -> Option<Region> {
         let region = region?;
-        let size = |name: &str, value: Option<u32>| match value {
-            None => {
-                self.fault(&format!("{key}.{name}"), "is missing", format!("add `{name}: 512`"));
-                1
-            }
-            Some(value) => {
-                self.within(&format!("{key}.{name}"), f64::from(value), 4.0, 65_536.0);
-                value
-            }
-        };
+        let size = |name: &str, value| self.judge.pixels(&format!("{key}.{name}"), value);
         Some(Region {
             left: region.left.unwrap_or(0),
             top: region.top.unwrap_or(0),
@@ -317,28 +276,12 @@ impl Check<'_> {
         })
     }
 
-    /// Only finite powers of lines that can be told from each other; there is no default.
-    fn lasers(&self) -> BTreeMap<u32, f64> {
-        let mut lasers = BTreeMap::new();
-        for (line, &power) in self.raw.run.laser_power_mw.iter().flatten() {
-            let key = format!("{OURS}.laser_power_mw.{line}");
-            let power = self.within(&key, power, 0.0, 100_000.0);
-            match line.parse::<u32>() {
-                Ok(line @ 200..=2000) => {
-                    lasers.insert(line, power);
-                }
-                _ => self.fault(&key, "is no laser line", "write the wavelength in nm, such as 488: 5.0"),
-            }
-        }
-        lasers
-    }
-
     fn analysis(&self) {
         let (analysis, section) = (&self.raw.analysis, format!("{OURS}.analysis"));
         if let Err(error) = AnalysisSettings::try_from(analysis.clone()) {
             for sentence in error.faults {
                 let (message, remedy) = sentence.split_once("; ").unwrap_or((&sentence, "change it"));
-                self.fault(&section, message, remedy);
+                self.judge.fault(&section, message, remedy);
             }
         }
         let catalogue = Catalogue::built_in();
@@ -352,11 +295,11 @@ impl Check<'_> {
         if let Err(error) = names {
             let key = if species.is_empty() { "dichroic" } else { "species" };
             let remedy = "name dyes and dichroics of config/fluorophores.toml and config/dichroics.toml";
-            self.fault(&format!("{section}.{key}"), error.to_string(), remedy);
+            self.judge.fault(&format!("{section}.{key}"), error.to_string(), remedy);
         }
         let order = analysis.order.unwrap_or(2);
         if species.len() > order + 1 {
-            self.fault(
+            self.judge.fault(
                 &format!("{section}.species"),
                 format!("are {}, and order {order} tells {} apart", species.len(), order + 1),
                 "raise the order, or name fewer dyes",
@@ -366,7 +309,7 @@ impl Check<'_> {
             (self.raw.time.as_ref().and_then(|time| time.loops), analysis.subsequence_exposures)
             && length > frames
         {
-            self.fault(
+            self.judge.fault(
                 &format!("{section}.subsequence_exposures"),
                 format!("is {length}, more than the {frames} exposures of the series"),
                 "make it shorter, in practice 100 to 500",

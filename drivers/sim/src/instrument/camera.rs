@@ -8,12 +8,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::time::Duration;
 
+use sofiscope_hal::clock::nanoseconds;
 use sofiscope_hal::{
     Camera, CameraCapabilities, CameraIdentity, CameraSettings, Channel, DeviceError, ErrorKind, FrameStream,
     Region,
 };
 
-use super::clock::nanoseconds;
 use super::oracle::Oracle;
 use super::schedule::{Schedule, Timing};
 use super::settings::CameraBehavior;

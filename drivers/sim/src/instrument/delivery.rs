@@ -22,13 +22,15 @@ const MOST_LATE: u64 = 64;
 pub(super) struct Arrival {
     /// Exposure in triggers since arming.
     pub(super) exposure: u64,
-    /// Frames that the camera had counted before it; behind `exposure` by the triggers it missed.
+    /// Frames that the camera had counted before it; behind `exposure` by the triggers it missed, ahead by extra ones.
     pub(super) number: u64,
     pub(super) status: FrameStatus,
     /// How often it is still to be delivered.
     pub(super) copies: u8,
     /// Whether the reader has it already.
     pub(super) read: bool,
+    /// Whether it is of an extra trigger before the exposure.
+    pub(super) extra: bool,
 }
 
 /// The way of one camera's frames.
@@ -41,6 +43,7 @@ pub(super) struct Delivery {
     /// The next exposure.
     next: u64,
     missed: u64,
+    extra: u64,
     burst_until: u64,
     window: Vec<Arrival>,
     /// Late frames with the exposure after which they arrive.
@@ -83,8 +86,9 @@ impl Delivery {
             window_length,
             next: 0,
             missed: 0,
+            extra: 0,
             burst_until: 0,
-            window: Vec::with_capacity(window_length as usize),
+            window: Vec::with_capacity(2 * window_length as usize),
             late: VecDeque::with_capacity(late_by_frames as usize + 1),
         }
     }
@@ -152,7 +156,14 @@ impl Delivery {
             record.note(exposure, IncidentKind::MissedTrigger);
             return;
         }
-        let number = exposure - self.missed;
+        let mut number = exposure + self.extra - self.missed;
+        if self.faults.extra_trigger_at.contains(&exposure) {
+            record.note(exposure, IncidentKind::ExtraTrigger);
+            let status = FrameStatus::Complete;
+            self.window.push(Arrival { exposure, number, status, copies: 1, read: false, extra: true });
+            self.extra += 1;
+            number += 1;
+        }
         if exposure < self.burst_until {
             record.note(exposure, IncidentKind::DroppedInBurst);
             return;
@@ -164,7 +175,8 @@ impl Delivery {
         let status = self.status(exposure, chances.incomplete, record);
         let twice =
             status == FrameStatus::Complete && one_in(self.faults.duplicate_one_in, chances.duplicate);
-        let arrival = Arrival { exposure, number, status, copies: 1 + u8::from(twice), read: false };
+        let copies = 1 + u8::from(twice);
+        let arrival = Arrival { exposure, number, status, copies, read: false, extra: false };
         if one_in(self.faults.late_one_in, chances.late) {
             record.note(exposure, IncidentKind::Late);
             self.late.push_back((exposure + self.faults.late_by_frames, arrival));

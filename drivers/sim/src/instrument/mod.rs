@@ -33,7 +33,6 @@
 //! ```
 
 mod camera;
-mod clock;
 mod delivery;
 mod film;
 mod oracle;
@@ -51,7 +50,6 @@ use sofiscope_hal::Channel;
 
 use camera::Body;
 pub use camera::SimulatedCamera;
-pub use clock::{Bell, Clock, ManualClock, MonotonicClock};
 pub use film::Film;
 pub use oracle::{Incident, IncidentKind, Oracle, Record};
 pub use scenario::{Scenario, ScenarioError};

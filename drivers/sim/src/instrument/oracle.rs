@@ -35,6 +35,8 @@ pub enum IncidentKind {
     Duplicated,
     /// The frame was delivered after later ones, by a delay of its own.
     Late,
+    /// The camera exposed once more, half a period before this exposure.
+    ExtraTrigger,
     /// The camera's clock jumped before this exposure.
     ClockStep,
     /// The camera's counter began anew with this exposure.
@@ -60,6 +62,7 @@ impl IncidentKind {
             | Self::Unread => true,
             Self::Duplicated
             | Self::Late
+            | Self::ExtraTrigger
             | Self::ClockStep
             | Self::CounterRestart
             | Self::Stalled
@@ -86,6 +89,8 @@ pub struct Record {
     pub intact: u64,
     /// Frames that reached the reader again.
     pub duplicates: u64,
+    /// Frames that belong to no exposure and reached the reader: those of extra triggers.
+    pub extra: u64,
     /// Everything else, in the order in which it happened.
     pub incidents: Vec<Incident>,
 }
@@ -161,6 +166,12 @@ impl Oracle {
         self.exposures(channel, IncidentKind::MissedTrigger)
     }
 
+    /// Frames of extra triggers that reached the reader.
+    #[must_use]
+    pub fn extra(&self, channel: Channel) -> u64 {
+        self.run(channel).lock().extra
+    }
+
     /// First exposure of which nothing came any more because the camera stalled or died.
     #[must_use]
     pub fn silent_from(&self, channel: Channel) -> Option<u64> {
@@ -168,12 +179,21 @@ impl Oracle {
         self.sorted(channel, silent).first().copied()
     }
 
-    /// The true exposure of a frame that the camera counts as `numbered`: later by the triggers it missed.
+    /// The true exposure of a frame that the camera counts as `numbered`: later by the triggers it missed, earlier
+    /// by the extra ones. The frame of an extra trigger counts as the exposure after it.
     #[must_use]
     pub fn true_exposure(&self, channel: Channel, numbered: ExposureIndex) -> ExposureIndex {
+        let missed = self.missed_triggers(channel).into_iter().map(|at| (at, true));
+        let extra = self.exposures(channel, IncidentKind::ExtraTrigger).into_iter().map(|at| (at, false));
+        let mut slips: Vec<(u64, bool)> = missed.chain(extra).collect();
+        slips.sort_unstable();
         let mut exposure = numbered.0;
-        for missed in self.missed_triggers(channel) {
-            exposure += u64::from(missed <= exposure);
+        for (at, is_missed) in slips {
+            if is_missed {
+                exposure += u64::from(at <= exposure);
+            } else {
+                exposure -= u64::from(exposure > at);
+            }
         }
         ExposureIndex(exposure)
     }
@@ -214,6 +234,10 @@ mod tests {
             (0..6).map(|k| oracle.true_exposure(Channel::Transmitted, ExposureIndex(k)).0).collect();
         assert_eq!(truth, [0, 1, 2, 4, 6, 7]);
         assert_eq!(oracle.lost(Channel::Transmitted), [3, 5]);
+        record.lock().note(7, IncidentKind::ExtraTrigger);
+        let truth: Vec<u64> =
+            (4..8).map(|k| oracle.true_exposure(Channel::Transmitted, ExposureIndex(k)).0).collect();
+        assert_eq!(truth, [6, 7, 7, 8]);
         assert_eq!(oracle.true_exposure(Channel::Reflected, ExposureIndex(4)), ExposureIndex(4));
     }
 }

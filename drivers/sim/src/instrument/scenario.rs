@@ -9,14 +9,11 @@
 
 use std::time::Duration;
 
-use toml::de::DeTable;
+use sofiscope_form::{Fault, Faults, Form, counted};
 
 use super::settings::{
     Bursts, CameraBehavior, CameraFaults, ClockStep, Counter, DeviceClock, InstrumentSettings, Pace,
 };
-use crate::scene::Fault;
-use crate::scene::fault::{count, list};
-use crate::scene::form::{Faults, Form};
 
 /// A scenario longer than this is refused unread.
 const MAX_TEXT_BYTES: usize = 1 << 20;
@@ -25,17 +22,10 @@ const ONE_IN: std::ops::RangeInclusive<u64> = 1..=1_000_000_000;
 
 /// All faults of a scenario file; never empty.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("the scenario has {}:{}", count(.faults), list(.faults))]
+#[error("the scenario has {}", counted(.faults))]
 pub struct ScenarioError {
     /// The faults in order of lines.
     pub faults: Vec<Fault>,
-}
-
-impl ScenarioError {
-    fn new(mut faults: Vec<Fault>) -> Self {
-        faults.sort_by_key(|fault| fault.line.unwrap_or(usize::MAX));
-        Self { faults }
-    }
 }
 
 /// Settings read from the text of a scenario.
@@ -53,20 +43,13 @@ impl Scenario {
         let faults = Faults::new(text);
         if text.len() > MAX_TEXT_BYTES {
             let message = format!("is {} bytes long", text.len());
-            faults.note(None, "", message, "give a file of at most 1 MiB".into());
-            return Err(ScenarioError::new(faults.into_list()));
+            faults.note(None, "", message, "give a file of at most 1 MiB");
+            return Err(ScenarioError { faults: faults.into_list() });
         }
-        let (document, errors) = DeTable::parse_recoverable(text);
-        for error in &errors {
-            let byte = error.span().map(|span| span.start);
-            faults.note(byte, "", error.message().to_owned(), "correct the TOML syntax".into());
-        }
-        if !errors.is_empty() {
-            return Err(ScenarioError::new(faults.into_list()));
-        }
-        let settings = read_settings(Form::new(&document, &faults));
+        let settings = sofiscope_form::read(&faults, read_settings);
         let list = faults.into_list();
-        if list.is_empty() { Ok(Self { settings }) } else { Err(ScenarioError::new(list)) }
+        let settings = settings.filter(|_| list.is_empty()).ok_or(ScenarioError { faults: list })?;
+        Ok(Self { settings })
     }
 
     /// The settings.
@@ -82,7 +65,7 @@ impl Scenario {
     }
 }
 
-fn read_settings(form: Form<'_>) -> InstrumentSettings {
+fn read_settings(form: &Form<'_>) -> InstrumentSettings {
     let default = InstrumentSettings::default();
     let mut cameras = default.cameras;
     if let Some(camera) = form.table("camera") {
@@ -97,15 +80,13 @@ fn read_settings(form: Form<'_>) -> InstrumentSettings {
         }
         faults.finish();
     }
-    let settings = InstrumentSettings {
-        pace: read_pace(&form),
+    InstrumentSettings {
+        pace: read_pace(form),
         seed: form.whole_if_any("seed", 0..=i64::MAX as u64).unwrap_or(default.seed),
         exposures: form.whole_if_any("exposures", 1..=*EXPOSURE.end()),
         cameras,
         clock: default.clock,
-    };
-    form.finish();
-    settings
+    }
 }
 
 fn read_pace(form: &Form<'_>) -> Pace {
@@ -157,10 +138,12 @@ fn read_faults(form: &Form<'_>, faults: &mut CameraFaults) {
     whole("late_one_in", &mut faults.late_one_in, ONE_IN);
     whole("stall_at", &mut faults.stall_at, EXPOSURE);
     whole("die_at", &mut faults.die_at, EXPOSURE);
-    whole("id_restart_at", &mut faults.id_restart_at, 1000..=30_000);
-    for (key, exposures) in
-        [("wrong_size_at", &mut faults.wrong_size_at), ("missed_trigger_at", &mut faults.missed_trigger_at)]
-    {
+    whole("id_restart_at", &mut faults.id_restart_at, 1..=30_000);
+    for (key, exposures) in [
+        ("wrong_size_at", &mut faults.wrong_size_at),
+        ("missed_trigger_at", &mut faults.missed_trigger_at),
+        ("extra_trigger_at", &mut faults.extra_trigger_at),
+    ] {
         if let Some(found) = form.wholes_if_any(key, EXPOSURE) {
             *exposures = found;
         }
@@ -255,6 +238,7 @@ mod tests {
             incomplete_one_in = 100
             wrong_size_at = 5
             missed_trigger_at = [20, 10]
+            extra_trigger_at = 30
             stall_at = 900
             die_at = 950
             id_restart_at = 1500
@@ -279,6 +263,7 @@ mod tests {
                 incomplete_one_in: Some(100),
                 wrong_size_at: vec![5],
                 missed_trigger_at: vec![10, 20],
+                extra_trigger_at: vec![30],
                 stall_at: Some(900),
                 die_at: Some(950),
                 id_restart_at: Some(1500),

@@ -10,9 +10,9 @@ use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use sofiscope_hal::{CameraSettings, Channel, HostTime, TriggerMode};
+use sofiscope_hal::clock::nanoseconds;
+use sofiscope_hal::{Bell, CameraSettings, Channel, Clock, HostTime, TriggerMode};
 
-use super::clock::{Bell, Clock, nanoseconds};
 use super::settings::Pace;
 
 /// A count that is not known yet.

@@ -5,9 +5,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use sofiscope_hal::{BlockId, IdRule};
-
-use super::clock::{Clock, MonotonicClock};
+use sofiscope_hal::{BlockId, Clock, IdRule, MonotonicClock};
 
 /// How fast frames come.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -105,7 +103,10 @@ pub struct CameraFaults {
     pub stall_at: Option<u64>,
     /// First exposure at which the camera is gone.
     pub die_at: Option<u64>,
-    /// First exposure after the counter began anew; 1000 to 30000, so that it can be recognized by its ids.
+    /// Exposures before which the camera exposes once more, half a period early: its ids have no gap, and every
+    /// later frame is numbered one exposure too high.
+    pub extra_trigger_at: Vec<u64>,
+    /// First exposure after the counter began anew; 1 to 30000, so that it can be recognized by its ids.
     ///
     /// It still cannot when a thousand frames around it are lost; a trigger missed among the frames lost just
     /// around it is made good by the clock, so that later frames are not one exposure off for it.

@@ -8,12 +8,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::time::Duration;
 
+use sofiscope_hal::clock::nanoseconds;
 use sofiscope_hal::{
     Channel, DeviceError, DeviceTime, ErrorKind, ExposureIndex, ExposureNumbering, FrameInfo, FrameStatus,
     FrameStream, HostTime, IdRule,
 };
 
-use super::clock::nanoseconds;
 use super::delivery::{Arrival, Delivery};
 use super::oracle::{IncidentKind, Record, SharedRecord};
 use super::schedule::{Outlook, Schedule, Timing};
@@ -23,6 +23,8 @@ use crate::random::{Stream, uniform};
 
 /// What stands in memory that must not be used.
 const RUBBISH: u16 = 0xBAD0;
+/// What every pixel of an extra exposure shows, so that it is never taken for one of the sample.
+const EXTRA: u16 = 0x0E17;
 /// The farthest that a camera's clock jumps, seconds.
 const MOST_STEP_S: f64 = 1e5;
 
@@ -150,19 +152,24 @@ impl SimulatedStream {
     ) -> Result<FrameInfo, DeviceError> {
         let period = outlook.period.unwrap_or(Duration::ZERO);
         let exposure = ExposureIndex(outlook.first + arrival.exposure);
+        let early_ns = if arrival.extra { nanoseconds(period) / 2 } else { 0 };
         let device_time = device_time(&self.parts, exposure, arrival.exposure, period);
+        let device_time = DeviceTime(device_time.0.wrapping_sub(early_ns));
         let block_id = self.parts.behavior.counter.id(self.count_shown(arrival));
         let rule = self.rule;
         let numbering = self.numbering.get_or_insert_with(|| ExposureNumbering::new(rule, period));
         let numbered = numbering.exposure_of(block_id, device_time);
         let (numbered, epoch) = numbered.map_err(|error| {
-            if arrival.status == FrameStatus::Complete && !arrival.read {
+            if is_of_sample(arrival) {
                 self.parts.record.lock().note(arrival.exposure, IncidentKind::Unplaceable);
             }
             let message = format!("{error}; stop and arm the camera again");
             DeviceError::new(ErrorKind::Protocol, self.parts.device.clone(), message)
         })?;
-        if arrival.status == FrameStatus::Complete {
+        if arrival.extra {
+            counts.fill(EXTRA);
+            self.parts.record.lock().extra += 1;
+        } else if arrival.status == FrameStatus::Complete {
             self.parts.view.expose(exposure, counts);
             let mut record = self.parts.record.lock();
             if arrival.read {
@@ -182,8 +189,9 @@ impl SimulatedStream {
         let faults = &self.parts.behavior.faults;
         match faults.id_restart_at {
             Some(restart) if restart <= arrival.exposure => {
-                let missed = faults.missed_trigger_at.iter().filter(|&&missed| missed < restart).count();
-                arrival.number - (restart - missed as u64)
+                let before = |all: &[u64]| all.iter().filter(|&&at| at < restart).count() as u64;
+                let counted = restart + before(&faults.extra_trigger_at) - before(&faults.missed_trigger_at);
+                arrival.number - counted
             }
             _ => arrival.number,
         }
@@ -247,19 +255,23 @@ impl Drop for SimulatedStream {
         self.flush();
         let mut record = self.parts.record.lock();
         for arrival in &self.arrived {
-            if arrival.status == FrameStatus::Complete && !arrival.read {
+            if is_of_sample(*arrival) {
                 record.note(arrival.exposure, IncidentKind::Unread);
             }
         }
     }
 }
 
+/// Whether a frame that gets lost now is an exposure lost.
+fn is_of_sample(arrival: Arrival) -> bool {
+    arrival.status == FrameStatus::Complete && !arrival.read && !arrival.extra
+}
+
 /// Puts an arrival into the driver's buffers; when they are full, the oldest frame makes room.
 fn arrive(arrived: &mut VecDeque<Arrival>, arrival: Arrival, buffers: usize, record: &mut Record) {
     if arrived.len() >= buffers
         && let Some(oldest) = arrived.pop_front()
-        && oldest.status == FrameStatus::Complete
-        && !oldest.read
+        && is_of_sample(oldest)
     {
         record.note(oldest.exposure, IncidentKind::Overrun);
     }

@@ -3,8 +3,8 @@
 //! In: rows of text, one character per cell: a digit is a density in ninths, a dot or a space is nothing.
 //! Out: cells with their weights. Never: draws random numbers.
 
-use super::form::Form;
 use super::shape::{COORDINATE_PX, DENSITY_PER_UM2, Shape};
+use sofiscope_form::Form;
 
 const MAX_SIDE: usize = 512;
 

@@ -8,21 +8,20 @@
 //! so unless a scene sets it they are *detected* photons, as in the paper.
 
 mod drawing;
-pub(crate) mod fault;
-pub(crate) mod form;
+mod fault;
 mod parts;
 mod shape;
 mod shipped;
 #[cfg(test)]
 mod tests;
 
-use toml::de::DeTable;
+use sofiscope_form::{Faults, Form};
 
 pub(crate) use drawing::cells;
-pub use fault::{Fault, SceneError};
-use form::{Faults, Form};
+pub use fault::SceneError;
 pub use parts::{CameraModel, Mirror, Optics, PatchGrid, Photophysics, Species, View};
 pub use shape::Shape;
+pub use sofiscope_form::Fault;
 
 /// A scene file longer than this is refused unread.
 const MAX_TEXT_BYTES: usize = 1 << 20;
@@ -68,17 +67,9 @@ impl Scene {
             return Err(SceneError::single("", message, "give a file of at most 1 MiB"));
         }
         let faults = Faults::new(text);
-        let (document, errors) = DeTable::parse_recoverable(text);
-        for error in &errors {
-            let byte = error.span().map(|span| span.start);
-            faults.note(byte, "", error.message().to_owned(), "correct the TOML syntax".into());
-        }
-        if !errors.is_empty() {
-            return Err(SceneError::new(faults.into_list()));
-        }
-        let scene = read_scene(&document, &faults);
+        let scene = sofiscope_form::read(&faults, read_scene);
         let list = faults.into_list();
-        if list.is_empty() { Ok(scene) } else { Err(SceneError::new(list)) }
+        scene.filter(|_| list.is_empty()).ok_or(SceneError { faults: list })
     }
 
     /// The same scene with another number of frames; what all of them share stays the same.
@@ -238,20 +229,19 @@ impl Scene {
     }
 }
 
-fn read_scene<'t>(document: &'t toml::Spanned<DeTable<'t>>, faults: &'t Faults<'t>) -> Scene {
-    let form = Form::new(document, faults);
+fn read_scene(form: &Form<'_>) -> Scene {
     let exposure_ms = form.number("exposure_ms", 1e-3..=1e6);
     let height_px = form.whole("height_px", MIN_SIDE_PX..=MAX_SIDE_PX) as usize;
     let width_px = form.whole("width_px", MIN_SIDE_PX..=MAX_SIDE_PX) as usize;
-    let optics = read_optics(&form);
-    let (cameras, view) = read_cameras(&form);
+    let optics = read_optics(form);
+    let (cameras, view) = read_cameras(form);
     let field = [[-0.5, -0.5], [height_px as f64 - 0.5, width_px as f64 - 0.5]];
     let patch_grid = form.table("patch_grid").map(|grid_form| {
         let grid = PatchGrid::read(&grid_form);
         grid_form.finish();
         grid
     });
-    let species = read_species(&form, exposure_ms, field, patch_grid.as_ref());
+    let species = read_species(form, exposure_ms, field, patch_grid.as_ref());
     let scene = Scene {
         name: form.text("name"),
         about: form.prose("about"),
@@ -268,8 +258,7 @@ fn read_scene<'t>(document: &'t toml::Spanned<DeTable<'t>>, faults: &'t Faults<'
         species,
         patch_grid,
     };
-    check_species(&form, &scene);
-    form.finish();
+    check_species(form, &scene);
     scene
 }
 

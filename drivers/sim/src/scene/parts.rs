@@ -5,10 +5,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::form::Form;
 use super::shape::{Shape, read_shapes};
 use crate::blinking::{Kinetics, Switching};
 use crate::optics::psf_sigma_px;
+use sofiscope_form::Form;
 
 /// What the objective and the camera pixels do to light.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -6,8 +6,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::drawing::{distance_in_cells, full_cells, read_drawing};
-use super::form::Form;
 use crate::geometry::{Line, between};
+use sofiscope_form::Form;
 
 /// Coordinates of scene files lie within these limits.
 pub(super) const COORDINATE_PX: std::ops::RangeInclusive<f64> = -20_000.0..=20_000.0;

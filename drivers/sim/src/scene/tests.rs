@@ -2,30 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-const MINIMAL: &str = r#"
-name = "minimal"
-frames = 10
-exposure_ms = 20.0
-height_px = 32
-width_px = 40
-seed = 1
-background_photons_per_exposure = 5.0
-[optics]
-pixel_pitch_nm = 108.0
-numerical_aperture = 1.27
-[[species]]
-name = "Dye"
-transmission = 0.35
-emission_nm = 592.0
-i_on_photons = 400.0
-tau_on_ms = 20.0
-tau_off_ms = 180.0
-[[species.filament]]
-from_px = [5.0, 5.0]
-to_px = [5.0, 30.0]
-width_px = 0.4
-density_per_um2 = 1000.0
-"#;
+const MINIMAL: &str = include_str!("../../tests/minimal.toml");
 
 fn faults(text: &str) -> Vec<Fault> {
     Scene::from_toml(text).expect_err("this scene is faulty").faults

@@ -2,8 +2,7 @@
 //!
 //! In: a parsed table with its positions in the text. Out: values within their limits.
 //! Never: leaves an unknown key unsaid; `finish` names the nearest known one.
-//! Fails: never at once. A faulty key yields a stand-in that no one sees,
-//! as a file with any fault gives no scene. (The derived reader of serde would stop at the first fault.)
+//! Fails: never at once. (The derived reader of serde would stop at the first fault.)
 
 use std::cell::RefCell;
 use std::ops::RangeInclusive;
@@ -11,36 +10,28 @@ use std::ops::RangeInclusive;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::fault::Fault;
+use crate::{Faults, nearest};
 
-/// The faults found so far in one text.
-pub(crate) struct Faults<'t> {
-    text: &'t str,
-    list: RefCell<Vec<Fault>>,
-}
-
-impl<'t> Faults<'t> {
-    pub(crate) fn new(text: &'t str) -> Self {
-        Self { text, list: RefCell::new(Vec::new()) }
+/// Parses a text and reads its top table; errors of syntax are faults like others, and then nothing is read.
+pub fn read<T>(faults: &Faults<'_>, read: impl FnOnce(&Form<'_>) -> T) -> Option<T> {
+    let (document, errors) = DeTable::parse_recoverable(faults.text);
+    for error in &errors {
+        let line = error.span().map(|span| faults.line_of(span.start));
+        faults.note(line, "", error.message(), "correct the TOML syntax");
     }
-
-    pub(crate) fn note(&self, byte: Option<usize>, key: &str, message: String, remedy: String) {
-        let line = byte.map(|byte| self.line_of(byte));
-        self.list.borrow_mut().push(Fault { line, key: key.into(), message, remedy });
+    if !errors.is_empty() {
+        return None;
     }
-
-    fn line_of(&self, byte: usize) -> usize {
-        let before = &self.text.as_bytes()[..byte.min(self.text.len())];
-        1 + before.iter().filter(|&&letter| letter == b'\n').count()
-    }
-
-    pub(crate) fn into_list(self) -> Vec<Fault> {
-        self.list.into_inner()
-    }
+    let asked = RefCell::default();
+    let form = Form { table: document.get_ref(), path: String::new(), byte: None, asked, faults };
+    let value = read(&form);
+    form.finish();
+    Some(value)
 }
 
 /// One table of the file being read.
-pub(crate) struct Form<'t> {
+#[derive(Debug)]
+pub struct Form<'t> {
     table: &'t DeTable<'t>,
     path: String,
     byte: Option<usize>,
@@ -49,13 +40,17 @@ pub(crate) struct Form<'t> {
 }
 
 impl<'t> Form<'t> {
-    pub(crate) fn new(table: &'t Spanned<DeTable<'t>>, faults: &'t Faults<'t>) -> Self {
-        let asked = RefCell::default();
-        Self { table: table.get_ref(), path: String::new(), byte: None, asked, faults }
+    /// Line where this table or one of its keys stands.
+    #[must_use]
+    pub fn line(&self, key: &str) -> Option<usize> {
+        let found = self.table.iter().find(|(name, _)| name.get_ref() == key);
+        let byte = found.map(|(name, _)| name.span().start).or(self.byte);
+        byte.map(|byte| self.faults.line_of(byte))
     }
 
     /// The dotted name of a key of this table.
-    fn name(&self, key: &str) -> String {
+    #[must_use]
+    pub fn name(&self, key: &str) -> String {
         if self.path.is_empty() { key.into() } else { format!("{}.{key}", self.path) }
     }
 
@@ -64,15 +59,14 @@ impl<'t> Form<'t> {
         self.table.iter().find(|(name, _)| name.get_ref() == key).map(|(_, value)| value)
     }
 
-    pub(crate) fn has(&self, key: &'static str) -> bool {
+    /// Whether the key is there.
+    pub fn has(&self, key: &'static str) -> bool {
         self.find(key).is_some()
     }
 
     /// Notes a fault of a key of this table.
-    pub(crate) fn fault(&self, key: &str, message: impl Into<String>, remedy: impl Into<String>) {
-        let found = self.table.iter().find(|(name, _)| name.get_ref() == key);
-        let byte = found.map(|(name, _)| name.span().start).or(self.byte);
-        self.faults.note(byte, &self.name(key), message.into(), remedy.into());
+    pub fn fault(&self, key: &str, message: impl Into<String>, remedy: impl Into<String>) {
+        self.faults.note(self.line(key), &self.name(key), message, remedy);
     }
 
     fn missing(&self, key: &str, wanted: &str) {
@@ -80,11 +74,11 @@ impl<'t> Form<'t> {
     }
 
     fn wrong_kind(&self, key: &str, found: &DeValue<'_>, wanted: &str) {
-        self.fault(key, format!("is a {}", found.type_str()), format!("give {wanted}"));
+        self.fault(key, format!("is of the kind {}", found.type_str()), format!("give {wanted}"));
     }
 
     /// A number within limits, or a fault.
-    pub(crate) fn number(&self, key: &'static str, limits: RangeInclusive<f64>) -> f64 {
+    pub fn number(&self, key: &'static str, limits: RangeInclusive<f64>) -> f64 {
         let wanted = within(&limits);
         match self.find(key) {
             Some(value) => self.checked_number(key, value.get_ref(), &limits),
@@ -96,11 +90,12 @@ impl<'t> Form<'t> {
     }
 
     /// A number within limits if the key is there.
-    pub(crate) fn number_if_any(&self, key: &'static str, limits: RangeInclusive<f64>) -> Option<f64> {
+    pub fn number_if_any(&self, key: &'static str, limits: RangeInclusive<f64>) -> Option<f64> {
         self.find(key).map(|value| self.checked_number(key, value.get_ref(), &limits))
     }
 
-    pub(crate) fn number_or(&self, key: &'static str, default: f64, limits: RangeInclusive<f64>) -> f64 {
+    /// A number within limits, or the default if the key is absent.
+    pub fn number_or(&self, key: &'static str, default: f64, limits: RangeInclusive<f64>) -> f64 {
         self.number_if_any(key, limits).unwrap_or(default)
     }
 
@@ -117,7 +112,7 @@ impl<'t> Form<'t> {
     }
 
     /// A whole number within limits, or a fault.
-    pub(crate) fn whole(&self, key: &'static str, limits: RangeInclusive<u64>) -> u64 {
+    pub fn whole(&self, key: &'static str, limits: RangeInclusive<u64>) -> u64 {
         let wanted = format!("a whole number from {} to {}", limits.start(), limits.end());
         let Some(value) = self.find(key) else {
             self.missing(key, &wanted);
@@ -127,12 +122,12 @@ impl<'t> Form<'t> {
     }
 
     /// A whole number within limits if the key is there.
-    pub(crate) fn whole_if_any(&self, key: &'static str, limits: RangeInclusive<u64>) -> Option<u64> {
+    pub fn whole_if_any(&self, key: &'static str, limits: RangeInclusive<u64>) -> Option<u64> {
         self.find(key).map(|value| self.checked_whole(key, value.get_ref(), &limits))
     }
 
     /// A whole number or a list of them, in order, if the key is there.
-    pub(crate) fn wholes_if_any(&self, key: &'static str, limits: RangeInclusive<u64>) -> Option<Vec<u64>> {
+    pub fn wholes_if_any(&self, key: &'static str, limits: RangeInclusive<u64>) -> Option<Vec<u64>> {
         let value = self.find(key)?.get_ref();
         let Some(items) = value.as_array() else {
             return Some(vec![self.checked_whole(key, value, &limits)]);
@@ -155,7 +150,7 @@ impl<'t> Form<'t> {
     }
 
     /// A text of 1 to 80 characters, or a fault.
-    pub(crate) fn text(&self, key: &'static str) -> String {
+    pub fn text(&self, key: &'static str) -> String {
         let wanted = "a text of 1 to 80 characters";
         match self.find(key).map(Spanned::get_ref) {
             None => self.missing(key, wanted),
@@ -171,7 +166,7 @@ impl<'t> Form<'t> {
     }
 
     /// A text of any length if the key is there.
-    pub(crate) fn prose(&self, key: &'static str) -> String {
+    pub fn prose(&self, key: &'static str) -> String {
         match self.find(key).map(Spanned::get_ref) {
             None => String::new(),
             Some(DeValue::String(text)) => text.to_string(),
@@ -183,7 +178,7 @@ impl<'t> Form<'t> {
     }
 
     /// True or false; false if the key is absent.
-    pub(crate) fn flag(&self, key: &'static str) -> bool {
+    pub fn flag(&self, key: &'static str) -> bool {
         match self.find(key).map(Spanned::get_ref) {
             None => false,
             Some(DeValue::Boolean(flag)) => *flag,
@@ -195,7 +190,7 @@ impl<'t> Form<'t> {
     }
 
     /// One of some words; the first if the key is absent.
-    pub(crate) fn word<T: Copy>(&self, key: &'static str, words: &[(&str, T)]) -> T {
+    pub fn word<T: Copy>(&self, key: &'static str, words: &[(&str, T)]) -> T {
         let names: Vec<&str> = words.iter().map(|(name, _)| *name).collect();
         let wanted = format!("one of {}", names.join(", "));
         match self.find(key).map(Spanned::get_ref) {
@@ -210,7 +205,7 @@ impl<'t> Form<'t> {
     }
 
     /// Two numbers within limits, or a fault.
-    pub(crate) fn pair(&self, key: &'static str, limits: RangeInclusive<f64>) -> [f64; 2] {
+    pub fn pair(&self, key: &'static str, limits: RangeInclusive<f64>) -> [f64; 2] {
         let Some(value) = self.find(key) else {
             self.missing(key, &format!("two numbers, each {}", within(&limits)));
             return [*limits.start(); 2];
@@ -219,7 +214,7 @@ impl<'t> Form<'t> {
     }
 
     /// Two numbers within limits if the key is there.
-    pub(crate) fn pair_if_any(&self, key: &'static str, limits: RangeInclusive<f64>) -> Option<[f64; 2]> {
+    pub fn pair_if_any(&self, key: &'static str, limits: RangeInclusive<f64>) -> Option<[f64; 2]> {
         self.find(key).map(|value| self.checked_pair(key, value.get_ref(), &limits))
     }
 
@@ -240,7 +235,7 @@ impl<'t> Form<'t> {
     }
 
     /// A list of at least two points, or a fault.
-    pub(crate) fn points(&self, key: &'static str, limits: RangeInclusive<f64>) -> Vec<[f64; 2]> {
+    pub fn points(&self, key: &'static str, limits: RangeInclusive<f64>) -> Vec<[f64; 2]> {
         let wanted = format!("a list of 2 to 1000 points [y, x], each number {}", within(&limits));
         match self.find(key).map(Spanned::get_ref) {
             None => self.missing(key, &wanted),
@@ -256,10 +251,16 @@ impl<'t> Form<'t> {
     }
 
     /// A list of texts, or a fault.
-    pub(crate) fn texts(&self, key: &'static str, limits: RangeInclusive<usize>) -> Vec<String> {
-        let wanted = format!("a list of {} to {} texts", limits.start(), limits.end());
+    pub fn texts(&self, key: &'static str, limits: RangeInclusive<usize>) -> Vec<String> {
+        if !self.has(key) {
+            self.missing(key, &list_of(&limits));
+        }
+        self.texts_if_any(key, limits)
+    }
+
+    /// A list of texts; empty if the key is absent.
+    pub fn texts_if_any(&self, key: &'static str, limits: RangeInclusive<usize>) -> Vec<String> {
         let Some(value) = self.find(key) else {
-            self.missing(key, &wanted);
             return Vec::new();
         };
         let items = value.get_ref().as_array();
@@ -270,13 +271,13 @@ impl<'t> Form<'t> {
             .collect();
         let complete = items.is_some_and(|items| items.len() == texts.len());
         if !complete || !limits.contains(&texts.len()) {
-            self.fault(key, "is no such list", format!("give {wanted}"));
+            self.fault(key, "is no such list", format!("give {}", list_of(&limits)));
         }
         texts
     }
 
     /// The table at a key if it is there.
-    pub(crate) fn table(&self, key: &'static str) -> Option<Self> {
+    pub fn table(&self, key: &'static str) -> Option<Self> {
         let value = self.find(key)?;
         match value.get_ref() {
             DeValue::Table(table) => Some(self.inner(table, value.span().start, self.name(key))),
@@ -287,8 +288,21 @@ impl<'t> Form<'t> {
         }
     }
 
+    /// The list of tables at a key, at least one.
+    pub fn some_tables(&self, key: &'static str) -> Vec<Self> {
+        let wanted = format!("one table `[[{}]]` or more", self.name(key));
+        match self.find(key).map(Spanned::get_ref) {
+            None => self.fault(key, "is missing", format!("add {wanted}")),
+            Some(DeValue::Array(items)) if items.is_empty() => {
+                self.fault(key, "is empty", format!("give {wanted}"));
+            }
+            Some(_) => {}
+        }
+        self.tables(key)
+    }
+
     /// The list of tables at a key; empty if it is absent.
-    pub(crate) fn tables(&self, key: &'static str) -> Vec<Self> {
+    pub fn tables(&self, key: &'static str) -> Vec<Self> {
         let Some(value) = self.find(key) else {
             return Vec::new();
         };
@@ -314,24 +328,38 @@ impl<'t> Form<'t> {
         Self { table, path, byte: Some(byte), asked: RefCell::default(), faults: self.faults }
     }
 
+    /// Takes these keys as known without reading them.
+    pub fn know(&self, keys: &[&'static str]) {
+        self.asked.borrow_mut().extend(keys);
+    }
+
     /// Notes every key that no one asked for, with the nearest known one.
-    pub(crate) fn finish(self) {
+    pub fn finish(&self) {
         let asked = self.asked.borrow();
         for (name, _) in self.table {
             let name = name.get_ref().as_ref();
             if !asked.contains(&name) {
-                self.fault(name, "is not a known key", nearest(name, &asked));
+                let remedy = match nearest(name, asked.iter().copied()).first() {
+                    Some(known) => format!("remove it, or write `{known}` if that was meant"),
+                    None => format!("remove it; known here: {}", known(&asked)),
+                };
+                self.fault(name, "is not a known key", remedy);
             }
         }
     }
 }
 
-fn nearest(name: &str, known: &[&'static str]) -> String {
-    let likeness = |key: &str| strsim::jaro_winkler(name, key);
-    known
-        .iter()
-        .max_by(|a, b| likeness(a).total_cmp(&likeness(b)))
-        .map_or_else(|| "remove it".into(), |key| format!("remove it, or write `{key}` if that was meant"))
+fn known(asked: &[&'static str]) -> String {
+    let mut keys = asked.to_vec();
+    keys.dedup();
+    keys.join(", ")
+}
+
+fn list_of(limits: &RangeInclusive<usize>) -> String {
+    match limits.end() {
+        &usize::MAX => "a list of texts".to_owned(),
+        most => format!("a list of {} to {most} texts", limits.start()),
+    }
 }
 
 fn within(limits: &RangeInclusive<f64>) -> String {

@@ -1,4 +1,4 @@
-//! The clock of this computer, and how a reader waits by it.
+//! The clock of this computer, and how a reader waits by it; for cameras that are made of software.
 //!
 //! In: the time until which to wait, and a bell that may ring before. Out: the time now.
 //! Never: sleeps through the bell. Fails: never.
@@ -7,9 +7,9 @@ use std::fmt;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use sofiscope_hal::HostTime;
+use crate::HostTime;
 
-/// Time as the simulated cameras see it; a test brings its own.
+/// Time as a simulated or replayed camera sees it; a test brings a [`ManualClock`].
 pub trait Clock: fmt::Debug + Send + Sync {
     /// The time now.
     fn now(&self) -> HostTime;
@@ -18,7 +18,7 @@ pub trait Clock: fmt::Debug + Send + Sync {
     fn wait(&self, bell: &Bell, heard: u64, until: HostTime);
 }
 
-/// Wakes those who wait when the state of the instrument has changed.
+/// Wakes those who wait when the state of the instrument has changed: somebody began, paused or stopped.
 #[derive(Debug, Default)]
 pub struct Bell {
     rings: Mutex<u64>,
@@ -103,7 +103,8 @@ impl Clock for ManualClock {
 }
 
 /// Nanoseconds of a duration, at most 584 years.
-pub(super) fn nanoseconds(duration: Duration) -> u64 {
+#[must_use]
+pub fn nanoseconds(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
 

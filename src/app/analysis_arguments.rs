@@ -1,0 +1,35 @@
+//! The arguments by which `analyze` and `replay` are told how to analyze.
+//!
+//! In: the command line. Out: [`RawAnalysis`] with what was given. Never: judges a value. Fails: not at all.
+
+use crate::config::RawAnalysis;
+
+/// Arguments that win over settings from elsewhere.
+#[derive(Debug, Clone, clap::Args)]
+pub(super) struct AnalysisArguments {
+    /// Dyes, separated by commas, in the order of the result images [default: those of the settings or the recording]
+    #[arg(long, value_delimiter = ',')]
+    species: Option<Vec<String>>,
+    /// Dichroic between the cameras
+    #[arg(long)]
+    dichroic: Option<String>,
+    /// Cumulant order, 2 to 6
+    #[arg(long)]
+    order: Option<usize>,
+    /// Exposures per subsequence [default: 200, or all if there are fewer]
+    #[arg(long)]
+    subsequence: Option<u64>,
+}
+
+impl AnalysisArguments {
+    /// What was given, and nothing else.
+    pub(super) fn raw(&self) -> RawAnalysis {
+        RawAnalysis {
+            order: self.order,
+            subsequence_exposures: self.subsequence,
+            species: self.species.clone(),
+            dichroic: self.dichroic.clone(),
+            ..RawAnalysis::default()
+        }
+    }
+}
