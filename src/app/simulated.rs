@@ -51,7 +51,8 @@ pub(super) fn rig(source: Source, settings: InstrumentSettings, trigger: Trigger
     });
     let trigger: Option<Box<dyn TriggerSource>> = match trigger {
         TriggerKind::Simulated => Some(Box::new(instrument.trigger())),
-        TriggerKind::FreeRunning => None,
+        // Only simulated cameras are in front of a simulated source, and only its own pulses reach them.
+        TriggerKind::FreeRunning | TriggerKind::Gates | TriggerKind::TeensyPulse => None,
     };
     let devices = Devices::new(stations.collect(), trigger, Box::new(SimulatedLasers), None);
     Rig {

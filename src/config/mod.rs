@@ -16,7 +16,8 @@ mod tree;
 pub use analysis::{AnalysisFaults, AnalysisSettings, RawAnalysis};
 pub use dyes::{Catalogue, CatalogueError, Dichroic, DyeError, Fluorophore};
 pub use instrument::{
-    CameraEntry, CameraKind, Instrument, InstrumentFaults, Limits, Simulation, TriggerKind,
+    CameraEntry, CameraKind, FocusEntry, GatesEntry, GatesKind, Hardware, Instrument, InstrumentFaults,
+    LaserEntry, LaserLink, Limits, PortEntry, Simulation, StageEntry, TriggerKind, VirtualEntry,
 };
 pub(crate) use judge::Judge;
 pub(crate) use section::{Findings, Section};

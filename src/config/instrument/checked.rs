@@ -2,6 +2,7 @@
 
 use sofiscope_hal::{Channel, Region};
 
+use super::hardware::HardwareCheck;
 use super::raw::{self, RawCamera, RawInstrument, RawSimulation};
 use super::{
     CameraEntry, CameraKind, Instrument, InstrumentFaults, Limits, Simulation, TriggerKind, VERSION,
@@ -53,6 +54,16 @@ impl Check<'_> {
         }
         let cameras = self.cameras(raw);
         let trigger = self.trigger(raw);
+        let limits = self.limits(raw);
+        let check = HardwareCheck { judge: self.judge, limits: &limits };
+        let mut hardware = check.hardware(&raw.hardware);
+        if trigger == TriggerKind::TeensyPulse {
+            let port = raw.trigger.as_ref().and_then(|trigger| trigger.port.as_deref());
+            hardware.clock = check.port("trigger", port, None);
+        }
+        if trigger == TriggerKind::Gates && raw.hardware.gates.is_none() {
+            self.judge.fault("trigger.kind", "is gates, and there are none", "add `[gates]`");
+        }
         let simulation = self.simulation(raw, &cameras, trigger);
         Instrument {
             name,
@@ -62,7 +73,8 @@ impl Check<'_> {
             numerical_aperture: aperture
                 .map(|value| self.judge.within("numerical_aperture", value, 0.01, 2.0)),
             dichroic: raw.top.dichroic.clone(),
-            limits: self.limits(raw),
+            limits,
+            hardware,
             simulation,
         }
     }
@@ -110,7 +122,16 @@ impl Check<'_> {
             );
         }
         let region = self.region(key, raw);
-        CameraEntry { channel, kind, serial: raw.serial.clone(), exposure, period, region }
+        CameraEntry {
+            channel,
+            kind,
+            serial: raw.serial.clone(),
+            address: raw.address.clone(),
+            library: raw.library.clone(),
+            exposure,
+            period,
+            region,
+        }
     }
 
     fn region(&self, key: &str, raw: &RawCamera) -> Option<Region> {
@@ -253,6 +274,34 @@ mod tests {
         assert!(faults(&nameless)[0].contains("`camera.reflected.serial` is missing"));
         let simulated = real.replace("genicam", "simulated");
         assert!(faults(&simulated)[0].contains("`simulation` is missing"));
+    }
+
+    #[test]
+    fn the_shipped_virtual_instrument_has_every_device_of_the_paper() {
+        let instrument = Instrument::from_toml(Instrument::virtual_toml()).unwrap();
+        let hardware = instrument.hardware();
+        let lines: Vec<u32> = hardware.lasers.iter().map(|laser| laser.wavelength_nm).collect();
+        assert_eq!(lines, [405, 488, 561, 635]);
+        assert!(hardware.gates.is_some() && hardware.stage.is_some() && hardware.focus.is_some());
+        assert!(hardware.virtual_devices.is_some());
+        assert!(instrument.cameras().iter().all(|camera| camera.kind != CameraKind::Simulated));
+    }
+
+    #[test]
+    fn what_could_hurt_has_no_default() {
+        let text = Instrument::virtual_toml();
+        for (from, to, expected) in [
+            ("x_um = [0.0, 120000.0]\n", "", "`stage.x_um` is missing"),
+            ("488 = 50.0, ", "", "488 nm has no cap"),
+            ("gate = 1", "gate = 0", "gate of another laser"),
+            ("wavelength_nm = 561", "wavelength_nm = 488", "wavelength of another laser"),
+            ("[[0.0, 0.0], [5.0, 100.0]]", "[[0.0, 0.0], [5.0, -1.0]]", "no rising curve"),
+            ("z_um = [0.0, 300.0]", "z_um = [300.0, 0.0]", "the smaller first"),
+        ] {
+            assert!(text.contains(from), "{from}");
+            let found = faults(&text.replacen(from, to, 1));
+            assert!(found.iter().any(|fault| fault.contains(expected)), "{expected}: {found:#?}");
+        }
     }
 
     #[test]

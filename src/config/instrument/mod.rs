@@ -5,6 +5,7 @@
 //! Fails: [`InstrumentFaults`], all faults at once with line and remedy.
 
 mod checked;
+mod hardware;
 mod raw;
 
 use std::collections::BTreeMap;
@@ -13,6 +14,10 @@ use std::time::Duration;
 use sofiscope_hal::{Channel, Region};
 
 use super::Fault;
+
+pub use hardware::{
+    FocusEntry, GatesEntry, GatesKind, Hardware, LaserEntry, LaserLink, PortEntry, StageEntry, VirtualEntry,
+};
 
 /// The version of the format that this program reads.
 const VERSION: u64 = 1;
@@ -47,12 +52,20 @@ pub enum TriggerKind {
     Simulated,
     /// Nothing: each camera runs by itself.
     FreeRunning,
+    /// The controller of the gates, from the same clock.
+    Gates,
+    /// A TeensyPulseGenerator of its own.
+    TeensyPulse,
 }
 
 impl TriggerKind {
     /// Every kind with the name it has in instrument files.
-    pub const NAMES: [(&'static str, Self); 2] =
-        [("simulated", Self::Simulated), ("free-running", Self::FreeRunning)];
+    pub const NAMES: [(&'static str, Self); 4] = [
+        ("simulated", Self::Simulated),
+        ("free-running", Self::FreeRunning),
+        ("gates", Self::Gates),
+        ("micromanager-teensy-pulse", Self::TeensyPulse),
+    ];
 }
 
 /// One camera of the instrument.
@@ -64,6 +77,10 @@ pub struct CameraEntry {
     pub kind: CameraKind,
     /// The serial number it must have; `None` only for simulated cameras.
     pub serial: Option<String>,
+    /// Network address, for cameras that are reached by one.
+    pub address: Option<String>,
+    /// Path of the maker's library, where it is not where the system looks for it.
+    pub library: Option<String>,
     /// Time of one exposure where the plan names none.
     pub exposure: Duration,
     /// Time from exposure to exposure where the plan names none.
@@ -110,6 +127,7 @@ pub struct Instrument {
     numerical_aperture: Option<f64>,
     dichroic: Option<String>,
     limits: Limits,
+    hardware: Hardware,
     simulation: Option<Simulation>,
 }
 
@@ -182,6 +200,18 @@ impl Instrument {
     #[must_use]
     pub fn limits(&self) -> &Limits {
         &self.limits
+    }
+
+    /// Everything beside the cameras.
+    #[must_use]
+    pub fn hardware(&self) -> &Hardware {
+        &self.hardware
+    }
+
+    /// The virtual instrument that ships with the program, `config/virtual.toml`.
+    #[must_use]
+    pub fn virtual_toml() -> &'static str {
+        include_str!("../../../config/virtual.toml")
     }
 
     /// What simulated devices look at; there exactly if a device is simulated.

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::section::{Findings, Section};
 use super::super::tree::{Node, Places};
+use super::hardware::{RawHardware, RawLaser};
 
 /// The top keys.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -26,6 +27,8 @@ pub(crate) struct RawTop {
 pub(crate) struct RawCamera {
     pub(crate) kind: Option<String>,
     pub(crate) serial: Option<String>,
+    pub(crate) address: Option<String>,
+    pub(crate) library: Option<String>,
     pub(crate) exposure_ms: Option<f64>,
     pub(crate) period_ms: Option<f64>,
     pub(crate) left_px: Option<u32>,
@@ -39,6 +42,7 @@ pub(crate) struct RawCamera {
 #[serde(default)]
 pub(crate) struct RawTrigger {
     pub(crate) kind: Option<String>,
+    pub(crate) port: Option<String>,
 }
 
 /// `[limits]`.
@@ -69,6 +73,7 @@ pub(crate) struct RawInstrument {
     pub(crate) transmitted: Option<RawCamera>,
     pub(crate) trigger: Option<RawTrigger>,
     pub(crate) limits: RawLimits,
+    pub(crate) hardware: RawHardware,
     pub(crate) simulation: Option<RawSimulation>,
     pub(crate) faults: Option<toml::Table>,
     pub(crate) places: Places,
@@ -86,6 +91,13 @@ pub(crate) fn read(node: &Node, faults: Option<toml::Table>, findings: &Findings
     }
     let trigger = record(&root, "trigger");
     let limits = record(&root, "limits").unwrap_or_default();
+    let hardware = RawHardware {
+        gates: record(&root, "gates"),
+        lasers: root.items("laser").into_iter().map(|(name, node)| laser(&root, name, node)).collect(),
+        stage: record(&root, "stage"),
+        focus: record(&root, "focus"),
+        virtual_devices: record(&root, "virtual"),
+    };
     let simulation = record(&root, "simulation");
     root.node("faults");
     root.finish();
@@ -95,10 +107,18 @@ pub(crate) fn read(node: &Node, faults: Option<toml::Table>, findings: &Findings
         transmitted,
         trigger,
         limits,
+        hardware,
         simulation,
         faults,
         places: Places::of(node),
     }
+}
+
+fn laser(root: &Section<'_>, name: String, node: &Node) -> (String, RawLaser) {
+    let table = root.item(name.clone(), node);
+    let laser = table.fields();
+    table.finish();
+    (name, laser)
 }
 
 fn record<T: Default + Serialize + serde::de::DeserializeOwned>(
