@@ -14,19 +14,23 @@ pub enum AppError {
     /// Data that cannot be analyzed (exit code 4).
     #[error("{0}")]
     Data(String),
+    /// A safety trip ended it (exit code 5).
+    #[error("{0}")]
+    Safety(String),
     /// A file could not be read or written (exit code 2 or 4).
     #[error(transparent)]
     File(#[from] FileError),
 }
 
 impl AppError {
-    /// 2 usage or configuration, 3 device, 4 data.
+    /// 2 usage or configuration, 3 device, 4 data, 5 safety trip.
     #[must_use]
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Usage(_) => 2,
             Self::Device(_) => 3,
             Self::Data(_) => 4,
+            Self::Safety(_) => 5,
             Self::File(error) => error.kind().exit_code(),
         }
     }

@@ -297,7 +297,7 @@ fn stop_of(record: &StopRecord) -> recording::StopRecord {
     let status = match &record.reason {
         FinishReason::Completed | FinishReason::StopRule(_) => StopStatus::Success,
         FinishReason::Stopped | FinishReason::Aborted => StopStatus::Abort,
-        FinishReason::Failed(_) => StopStatus::Fail,
+        FinishReason::Failed(_) | FinishReason::Tripped(_) => StopStatus::Fail,
     };
     let mut reason = reason_text(&record.reason);
     for failure in &record.failures {
@@ -316,6 +316,7 @@ pub(super) fn reason_text(reason: &FinishReason) -> String {
         FinishReason::Stopped => "stopped".to_owned(),
         FinishReason::Aborted => "aborted".to_owned(),
         FinishReason::Failed(message) => message.clone(),
+        FinishReason::Tripped(message) => format!("safety trip: {message}"),
     }
 }
 

@@ -44,7 +44,8 @@ const STATE_BYTES_PER_PIXEL: u64 = 70;
   sofiscope run plan.yaml --json > run.json
 
 Ctrl-C ends the run in good order; Ctrl-C again ends it at once. Exit codes: 0 as planned, 2 a plan or instrument
-file that cannot be used, 3 a device or the disk failed during the run, 4 too few data for images.")]
+file that cannot be used, 3 a device or the disk failed during the run, 4 too few data for images,
+5 the lasers were taken away for safety.")]
 pub(super) struct RunArguments {
     /// Plan (YAML or JSON)
     plan: PathBuf,

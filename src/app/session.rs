@@ -171,8 +171,11 @@ impl Ended {
 impl Acquired {
     /// The first series that did not end as planned, as an error of the program.
     pub(super) fn failure(&self) -> Option<AppError> {
-        let failed = self.records.iter().find(|record| matches!(record.reason, FinishReason::Failed(_)))?;
-        Some(AppError::Device(reason_text(&failed.reason)))
+        self.records.iter().find_map(|record| match &record.reason {
+            FinishReason::Failed(_) => Some(AppError::Device(reason_text(&record.reason))),
+            FinishReason::Tripped(_) => Some(AppError::Safety(reason_text(&record.reason))),
+            _ => None,
+        })
     }
 
     /// What scripts are told; results are filled in by whoever writes them.

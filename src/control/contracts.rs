@@ -29,6 +29,9 @@ pub enum DataPathError {
     /// The recording failed.
     #[error("{0}")]
     Recording(String),
+    /// Light was taken away for safety.
+    #[error("{0}")]
+    Safety(String),
 }
 
 impl From<DeviceError> for DataPathError {
@@ -120,6 +123,15 @@ pub trait Illumination {
     /// # Errors
     /// [`OutOfRange`](sofiscope_hal::ErrorKind::OutOfRange) for a line or power that is not there, and then all are off.
     fn on(&mut self, power_mw: &BTreeMap<u32, f64>) -> Result<(), DeviceError>;
+
+    /// Holds the light on for another moment; called in every round of the loop that makes a run progress, and
+    /// without it the light goes.
+    ///
+    /// # Errors
+    /// What has made everything dark meanwhile.
+    fn hold(&mut self) -> Result<(), DeviceError> {
+        Ok(())
+    }
 
     /// Turns all lines off; twice is no error.
     ///

@@ -32,6 +32,8 @@ pub enum FinishReason {
     Aborted,
     /// A device or the recording failed.
     Failed(String),
+    /// A safety trip made everything dark; a person has to arm again.
+    Tripped(String),
 }
 
 impl FinishReason {
@@ -42,6 +44,7 @@ impl FinishReason {
             Self::Stopped => 2,
             Self::Aborted => 3,
             Self::Failed(_) => 4,
+            Self::Tripped(_) => 5,
         }
     }
 
@@ -65,6 +68,7 @@ impl fmt::Display for FinishReason {
             Self::Stopped => formatter.write_str("stopped"),
             Self::Aborted => formatter.write_str("aborted"),
             Self::Failed(message) => write!(formatter, "failed: {message}"),
+            Self::Tripped(message) => write!(formatter, "safety trip: {message}"),
         }
     }
 }
@@ -129,6 +133,8 @@ pub enum Input {
     RuleReached(StopReason),
     /// A device failed.
     DeviceFailed(String),
+    /// Light was taken away for safety.
+    SafetyTrip(String),
     /// The recording or another part of the data path failed.
     RecordingFailed(String),
     /// Everything on its way is through.
@@ -236,6 +242,7 @@ fn graver(reason: FinishReason, input: Input) -> FinishReason {
         Input::DeviceFailed(message) | Input::RecordingFailed(message) => {
             reason.or(FinishReason::Failed(message))
         }
+        Input::SafetyTrip(message) => reason.or(FinishReason::Tripped(message)),
         _ => reason,
     }
 }
@@ -247,6 +254,7 @@ fn end(running: RunPhase, input: Input) -> (RunPhase, Vec<Action>) {
         Input::AllExposures => FinishReason::Completed,
         Input::RuleReached(reason) => FinishReason::StopRule(reason),
         Input::DeviceFailed(message) | Input::RecordingFailed(message) => FinishReason::Failed(message),
+        Input::SafetyTrip(message) => FinishReason::Tripped(message),
         Input::Abort => {
             let actions = GIVE_UP.into_iter().chain(CLOSE).collect();
             return (RunPhase::Closing(FinishReason::Aborted), actions);
@@ -274,6 +282,7 @@ mod tests {
             1 => Just(Input::AllExposures),
             1 => Just(Input::RuleReached(StopReason::Frames { frames: 7 })),
             1 => Just(Input::DeviceFailed("gone".to_owned())),
+            1 => Just(Input::SafetyTrip("nobody there".to_owned())),
             1 => Just(Input::RecordingFailed("full".to_owned())),
             3 => Just(Input::Drained),
             3 => Just(Input::Closed),

@@ -220,6 +220,11 @@ impl Sequencer<'_> {
             for input in self.look(series) {
                 self.feed(series, input);
             }
+            if *series.state.phase() == RunPhase::Acquiring
+                && let Err(taken) = self.devices.hold()
+            {
+                self.fail(series, taken);
+            }
             self.tell(series);
         }
     }
@@ -442,5 +447,6 @@ fn failed(error: DataPathError) -> Input {
     match error {
         DataPathError::Device(message) => Input::DeviceFailed(message),
         DataPathError::Recording(message) => Input::RecordingFailed(message),
+        DataPathError::Safety(message) => Input::SafetyTrip(message),
     }
 }

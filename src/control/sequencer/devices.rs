@@ -142,6 +142,11 @@ impl Devices {
         self.lasers.off().map_err(DataPathError::from)
     }
 
+    /// Holds the light on; whatever took it away is a matter of safety.
+    pub(super) fn hold(&mut self) -> Result<(), DataPathError> {
+        self.lasers.hold().map_err(|error| DataPathError::Safety(error.to_string()))
+    }
+
     pub(super) fn start_trigger(&mut self, pulses: Option<u64>) -> Result<(), DataPathError> {
         let period = self.period().unwrap_or_default();
         match &mut self.trigger {
