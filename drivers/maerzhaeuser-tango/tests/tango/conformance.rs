@@ -1,10 +1,8 @@
 //! The driver and the virtual controller keep what every stage promises.
 
-mod common;
-
 use std::time::Duration;
 
-use common::{Bench, length};
+use crate::bench::{Bench, length};
 use sofiscope_hal::conformance::{StageRig, stage};
 use sofiscope_hal::{Micrometers, Stage};
 

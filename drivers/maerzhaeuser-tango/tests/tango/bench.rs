@@ -10,24 +10,24 @@ use sofiscope_serial_line::{Line, ModelPort, Wire};
 use sofiscope_virtual::OpticalTable;
 use sofiscope_virtual::stage::TangoModel;
 
-pub const SERIAL: &str = "20260001";
+pub(crate) const SERIAL: &str = "20260001";
 
-pub type Port = ModelPort<Wire<TangoModel>>;
+pub(crate) type Port = ModelPort<Wire<TangoModel>>;
 
-pub struct Bench {
-    pub stage: Tango,
-    pub port: Port,
+pub(crate) struct Bench {
+    pub(crate) stage: Tango,
+    pub(crate) port: Port,
 }
 
-pub fn length(value: f64) -> Micrometers {
+pub(crate) fn length(value: f64) -> Micrometers {
     Micrometers::new(value).expect("a finite number")
 }
 
-pub fn place(x: f64, y: f64) -> StagePoint {
+pub(crate) fn place(x: f64, y: f64) -> StagePoint {
     StagePoint { x: length(x), y: length(y) }
 }
 
-pub fn settings() -> TangoSettings {
+pub(crate) fn settings() -> TangoSettings {
     TangoSettings {
         serial: SERIAL.to_owned(),
         envelope: StageEnvelope {
@@ -39,32 +39,32 @@ pub fn settings() -> TangoSettings {
     }
 }
 
-pub fn model() -> TangoModel {
+pub(crate) fn model() -> TangoModel {
     TangoModel::new(SERIAL, OpticalTable::private().expect("memory for a table"))
 }
 
-pub fn powered_up() -> Port {
+pub(crate) fn powered_up() -> Port {
     ModelPort::new(Wire::new(model(), LINE_SETTINGS))
 }
 
-pub fn line(port: &Port) -> Line {
+pub(crate) fn line(port: &Port) -> Line {
     Line::new(Box::new(port.again()), "stage (virtual)")
 }
 
-pub fn opened(port: &Port, settings: TangoSettings) -> Result<Tango, DeviceError> {
+pub(crate) fn opened(port: &Port, settings: TangoSettings) -> Result<Tango, DeviceError> {
     let watch = port.again();
     Tango::with_clock(line(port), settings, Box::new(move || watch.with(|_, now| now)))
 }
 
 impl Bench {
     /// Never homed.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let port = powered_up();
         let stage = opened(&port, settings()).expect("a healthy controller");
         Self { stage, port }
     }
 
-    pub fn homed() -> Self {
+    pub(crate) fn homed() -> Self {
         let mut bench = Self::new();
         bench.stage.begin_homing().expect("homing begins");
         assert_eq!(bench.ended().expect("homing ends"), Motion::Still);
@@ -72,7 +72,7 @@ impl Bench {
     }
 
     /// Waits for the end of a motion.
-    pub fn ended(&mut self) -> Result<Motion, DeviceError> {
+    pub(crate) fn ended(&mut self) -> Result<Motion, DeviceError> {
         for _ in 0..5000 {
             let motion = self.stage.motion()?;
             if motion != Motion::Moving {
@@ -84,17 +84,17 @@ impl Bench {
     }
 
     /// Breaks something.
-    pub fn with(&self, change: impl FnOnce(&mut TangoModel)) {
+    pub(crate) fn with(&self, change: impl FnOnce(&mut TangoModel)) {
         self.port.with(|wire, _| change(wire.model()));
     }
 
     /// Commands that came since this was asked last.
-    pub fn received(&self) -> Vec<String> {
+    pub(crate) fn received(&self) -> Vec<String> {
         let commands = self.port.with(|wire, _| wire.model().take_received());
         commands.into_iter().map(|(_, command)| command.escape_ascii().to_string()).collect()
     }
 
-    pub fn now(&self) -> Duration {
+    pub(crate) fn now(&self) -> Duration {
         self.port.with(|_, now| now)
     }
 }

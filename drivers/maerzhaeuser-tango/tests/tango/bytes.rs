@@ -1,8 +1,6 @@
 //! The bytes on the wire, one by one, as devices.md 2.2 to 2.4 has them.
 
-mod common;
-
-use common::{SERIAL, length, place, settings};
+use crate::bench::{SERIAL, length, place, settings};
 use sofiscope_hal::{DeviceError, ErrorKind, Motion, Properties, PropertyValue, Stage};
 use sofiscope_maerzhaeuser_tango::Tango;
 use sofiscope_serial_line::{Line, ScriptedPort};
