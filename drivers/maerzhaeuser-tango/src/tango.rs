@@ -51,6 +51,8 @@ pub struct Tango {
     num_axes: usize,
     axes: [AxisSettings; 2],
     activity: Activity,
+    /// Whether a motion was given up since the last homing, whatever the controller thinks of its place.
+    needs_homing: bool,
     /// STOPs at the beginning of the newest motion.
     stops_before: u64,
 }
@@ -91,6 +93,7 @@ impl Tango {
             num_axes: 2,
             axes: [AxisSettings::default(); 2],
             activity: Activity::Still,
+            needs_homing: false,
             stops_before: 0,
         };
         tango.connect()?;
@@ -101,7 +104,7 @@ impl Tango {
     /// stage must be homed again, whatever the controller thinks of its place. Stoppers go on working.
     ///
     /// # Errors
-    /// As [`Self::open`]; the stage is then as lost as before.
+    /// As [`Self::open`]; nothing moves until a later try succeeds.
     pub fn reconnect(&mut self, line: Line) -> Result<(), DeviceError> {
         let dialog = Dialog::new(line);
         self.brake.replace(dialog.sender()?);
@@ -138,7 +141,7 @@ impl Tango {
 
     /// STOP, and the place is no longer known.
     fn give_up(&mut self) {
-        self.activity = Activity::Unknown;
+        (self.activity, self.needs_homing) = (Activity::Unknown, true);
         // The caller already has the error; where the line is gone there is nothing else to try.
         let _sent = self.brake.stop();
     }

@@ -13,12 +13,11 @@ const HOMED: u32 = 3;
 impl Tango {
     /// The start-up sequence that Micro-Manager uses, with the identity checked before anything is changed.
     pub(super) fn connect(&mut self) -> Result<(), DeviceError> {
-        let was_lost = self.activity.is_motion() || self.activity == Activity::Unknown;
-        let is_first = self.identity.serial.is_empty();
-        // Until everything is read, nothing is known.
+        self.needs_homing |= self.activity.is_motion();
+        // Until everything is read, nothing is known, and nothing moves.
         self.activity = Activity::Unknown;
         self.identify()?;
-        if was_lost && !is_first {
+        if self.needs_homing {
             self.give_up();
         }
         // Power-up switches autostatus on; first of all it must be off.
@@ -30,7 +29,7 @@ impl Tango {
             *settings = properties::read(&mut self.dialog, axis, self.settings.fastest.value())?;
         }
         self.envelope = self.settings.envelope.clone();
-        if self.calibration(HOMED)? && !(was_lost && !is_first) {
+        if !self.needs_homing && self.calibration(HOMED)? {
             self.envelope = self.measured_envelope()?;
             self.activity = Activity::Still;
         }

@@ -179,7 +179,7 @@ impl Tango {
             }
             Leg::RangeMeasure => {
                 let envelope = self.measured_envelope().inspect_err(|_| self.activity = Activity::Unknown)?;
-                (self.envelope, self.activity) = (envelope, Activity::Still);
+                (self.envelope, self.activity, self.needs_homing) = (envelope, Activity::Still, false);
                 Ok(Motion::Still)
             }
         }

@@ -1,5 +1,7 @@
 //! What the controller can do wrong (devices.md 11.2), and what the driver then does.
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::time::Duration;
 
 use sofiscope_hal::{ErrorKind, Motion, Properties, PropertyValue, Stage};

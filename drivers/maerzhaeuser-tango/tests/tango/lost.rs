@@ -29,21 +29,28 @@ fn one_missing_answer_is_asked_for_again() {
 
 #[test]
 fn moves_are_never_repeated() {
-    // Whichever of the answers around the move is missing.
-    for answers_before in 0..6 {
-        let mut bench = Bench::homed();
-        bench.received();
-        let mut calls = 0;
-        // Counts answers by their time: each question takes one.
-        while calls < answers_before {
-            bench.stage.position().unwrap();
-            calls += 1;
+    let mut num_moves = [0; 2];
+    // Whichever answers around the move are missing.
+    for spared in 0..8 {
+        for silent in [1, 2, 3, usize::MAX] {
+            let mut bench = Bench::homed();
+            bench.received();
+            bench.with(|model| (model.faults().spared, model.faults().silent) = (spared, silent));
+            let taken = bench.stage.move_to(place(10_000.0, 10_000.0));
+            bench.with(|model| model.faults().silent = 0);
+            let received = bench.received();
+            let moves = received.iter().filter(|command| command.starts_with("!moa")).count();
+            num_moves[moves] += 1;
+            if taken.is_err() && moves == 1 {
+                // Nobody knows whether it was taken.
+                assert!(received.iter().any(|command| command == "\\x03"), "{received:?}");
+                assert_eq!(bench.ended().unwrap(), Motion::Unknown);
+            } else if moves == 1 {
+                assert_eq!(bench.ended().unwrap(), Motion::Still);
+            }
         }
-        bench.with(|model| model.faults().silent = 1 + answers_before);
-        let _taken_or_not = bench.stage.move_to(place(10_000.0, 10_000.0));
-        let moves = bench.received().iter().filter(|command| command.starts_with("!moa")).count();
-        assert!(moves <= 1, "{moves} moves on the wire");
     }
+    assert!(num_moves.iter().all(|cases| *cases > 4), "{num_moves:?} cases without and with a move");
 }
 
 #[test]
@@ -122,6 +129,10 @@ fn a_line_lost_while_standing_needs_no_homing_unless_the_power_was_off() {
         let mut bench = Bench::homed();
         bench.port.with(|wire, _| wire.faults().unplugged = true);
         assert_eq!(bench.stage.position().unwrap_err().kind(), ErrorKind::Lost);
+        for _ in 0..2 {
+            assert_eq!(bench.stage.reconnect(line(&bench.port)).unwrap_err().kind(), ErrorKind::Lost);
+            assert_eq!(bench.stage.move_to(place(20_000.0, 10_000.0)).unwrap_err().kind(), ErrorKind::Busy);
+        }
         bench.port.with(|wire, now| {
             wire.faults().unplugged = false;
             if power_was_off {

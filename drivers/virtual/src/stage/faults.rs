@@ -28,4 +28,6 @@ pub struct StageFaults {
     pub late: Option<Duration>,
     /// Answers that are not given; `usize::MAX` for a controller that is silent for good.
     pub silent: usize,
+    /// Answers that are still given before those.
+    pub spared: usize,
 }

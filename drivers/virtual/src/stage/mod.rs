@@ -137,11 +137,12 @@ impl TangoModel {
     }
 
     fn answer(&mut self, now: Duration, text: &str) {
-        if self.faults.silent > 0 {
-            self.faults.silent =
-                if self.faults.silent == usize::MAX { usize::MAX } else { self.faults.silent - 1 };
+        let StageFaults { silent, spared, .. } = &mut self.faults;
+        if *silent > 0 && *spared == 0 {
+            *silent -= usize::from(*silent < usize::MAX);
             return;
         }
+        *spared = spared.saturating_sub(1);
         if self.faults.talks_between {
             let line = self.status_axis();
             self.say(now, &line);
