@@ -5,6 +5,7 @@
 //! | [`camera`] | [`Camera`], settings and read-back; [`FrameStream`], pixels into the caller's memory |
 //! | [`trigger`] | [`TriggerSource`], what starts the exposures of all cameras together |
 //! | [`stage`] | [`Stage`], the sample along x and y; [`StopMotion`], past every queue |
+//! | [`travel`] | [`SafeTravel`], long moves of the stage only with the objective retracted |
 //! | [`focus`] | [`FocusDrive`], the piezo; [`FocusSensor`], which sees the error |
 //! | [`laser`] | [`Laser`], with caps and read-back |
 //! | [`gate`] | [`GateController`], which lets the light through and never without somebody holding it |
@@ -31,6 +32,7 @@ pub mod numbering;
 pub mod property;
 pub mod stage;
 pub mod time;
+pub mod travel;
 pub mod trigger;
 pub mod units;
 
@@ -48,6 +50,7 @@ pub use numbering::{BlockId, Epoch, ExposureNumbering, IdRule};
 pub use property::{Properties, Property, PropertyRange, PropertyValue};
 pub use stage::{Motion, Stage, StageEnvelope, StagePoint, StopMotion};
 pub use time::{DeviceTime, HostTime};
+pub use travel::{Route, SafeTravel};
 pub use trigger::TriggerSource;
 pub use units::{Celsius, Micrometers, MillimetersPerSecond, Milliwatts, Nanometers, NotFinite, Volts};
 

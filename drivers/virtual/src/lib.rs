@@ -3,6 +3,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`table`] | [`OpticalTable`]: what all virtual devices share, in memory that processes map |
+//! | [`stage`] | [`TangoModel`](stage::TangoModel), a TANGO controller with its stage |
 //! | [`log`] | [`EmissionLog`]: what came out of lasers and gates, by the device's own clock |
 //! | [`pty`] | a model behind a pseudo-terminal, in real time |
 //!
@@ -15,6 +16,7 @@
 
 pub mod log;
 pub mod pty;
+pub mod stage;
 pub mod table;
 
 pub use log::EmissionLog;

@@ -14,9 +14,12 @@
 //! ```
 
 mod frames;
+mod stage;
 mod states;
 #[cfg(test)]
 mod tests;
+
+pub use stage::{StageRig, stage};
 
 use std::time::Duration;
 

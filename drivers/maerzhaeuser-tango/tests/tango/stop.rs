@@ -1,0 +1,96 @@
+//! STOP over a real terminal, while the thread that owns the stage waits for a controller that is silent.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use sofiscope_hal::{Stage, StopMotion};
+use sofiscope_maerzhaeuser_tango::{LINE_SETTINGS, Tango};
+use sofiscope_serial_line::{Line, LineModel};
+use sofiscope_virtual::pty::Terminal;
+use sofiscope_virtual::stage::TangoModel;
+
+use crate::bench::{model, settings};
+
+const TRIALS: usize = 200;
+/// Far more than a thread ever waits here; the test fails by it instead of hanging.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// A controller that tells when STOP has come through its UART: bytes take their time one after another.
+struct Watched {
+    model: Arc<Mutex<TangoModel>>,
+    uart_is_free: Option<Instant>,
+    stops: SyncSender<Instant>,
+}
+
+impl LineModel for Watched {
+    fn receive(&mut self, bytes: &[u8], now: Duration) {
+        for byte in bytes {
+            let free = self.uart_is_free.map_or_else(Instant::now, |free| free.max(Instant::now()));
+            let read = free + LINE_SETTINGS.time_per_byte();
+            self.uart_is_free = Some(read);
+            if *byte == 3 {
+                self.stops.send(read).expect("the test listens");
+            }
+        }
+        self.model.lock().expect("no panic").receive(bytes, now);
+    }
+
+    fn advance(&mut self, now: Duration, out: &mut Vec<u8>) -> Option<Duration> {
+        self.model.lock().expect("no panic").advance(now, out)
+    }
+}
+
+/// Sends STOP again and again, and gives how long each took, in milliseconds, in rising order.
+fn delays_ms(stopper: &dyn StopMotion, stops: &Receiver<Instant>, mut crowd: impl FnMut(usize)) -> Vec<f64> {
+    let mut delays = Vec::new();
+    let (_never, pause) = sync_channel::<()>(1);
+    for trial in 0..TRIALS {
+        crowd(trial);
+        // At any moment of whatever the owner does.
+        let _over = pause.recv_timeout(Duration::from_micros(137 * (trial as u64 * 7919 % 61)));
+        let sent = Instant::now();
+        stopper.stop_motion().expect("the line is there");
+        let arrived = stops.recv_timeout(PATIENCE).expect("STOP arrives");
+        delays.push(1e3 * arrived.saturating_duration_since(sent).as_secs_f64());
+    }
+    delays.sort_by(f64::total_cmp);
+    delays
+}
+
+#[test]
+fn stop_overtakes_a_full_queue_and_a_silent_controller() {
+    let folder = tempfile::tempdir().unwrap();
+    let link = folder.path().join("stage0");
+    let terminal = Terminal::open(&link).unwrap();
+    let model = Arc::new(Mutex::new(model()));
+    let (stop_seen, stops) = sync_channel(16);
+    let mut watched = Watched { model: Arc::clone(&model), uart_is_free: None, stops: stop_seen };
+    let over = AtomicBool::new(false);
+    let delays = std::thread::scope(|scope| {
+        scope.spawn(|| terminal.serve(&mut watched, &over).unwrap());
+        let line = Line::open(&link, LINE_SETTINGS, "stage (virtual)").unwrap();
+        let mut stage = Tango::open(line, settings()).unwrap();
+        let stopper = stage.stopper();
+        model.lock().unwrap().faults().silent = usize::MAX;
+        // The mailbox of the owner, always full: each call waits for seconds.
+        let (mailbox, calls) = sync_channel::<()>(8);
+        scope.spawn(move || {
+            while calls.recv().is_ok() {
+                // Whatever it answers: the controller is silent.
+                let _silent = stage.position();
+            }
+        });
+        let delays = delays_ms(&*stopper, &stops, |_| while mailbox.try_send(()).is_ok() {});
+        let is_full = mailbox.try_send(()).is_err();
+        drop(mailbox);
+        // Without a terminal, all calls that wait fail at once.
+        over.store(true, Ordering::Relaxed);
+        assert!(is_full, "the mailbox was full to the end");
+        delays
+    });
+    let [p50, p99, max] = [TRIALS / 2, TRIALS * 99 / 100, TRIALS - 1].map(|place| delays[place]);
+    println!("STOP on the wire, {TRIALS} trials: p50 {p50:.2} ms, p99 {p99:.2} ms, max {max:.2} ms");
+    assert!(p99 <= 20.0, "p50 {p50:.2} ms, p99 {p99:.2} ms, max {max:.2} ms");
+}
