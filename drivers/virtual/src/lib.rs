@@ -3,6 +3,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`table`] | [`OpticalTable`]: what all virtual devices share, in memory that processes map |
+//! | [`laser`] | lasers: iBEAM smart, SMD12, and one without a data link |
 //! | [`log`] | [`EmissionLog`]: what came out of lasers and gates, by the device's own clock |
 //! | [`pty`] | a model behind a pseudo-terminal, in real time |
 //!
@@ -13,6 +14,7 @@
 //!
 //! Models are pure ([`LineModel`](sofiscope_serial_line::LineModel)): a test talks to them without a terminal.
 
+pub mod laser;
 pub mod log;
 pub mod pty;
 pub mod table;
