@@ -120,6 +120,10 @@ impl Smd12 {
 
     fn confirm_off(&mut self, haste: Haste) -> Result<(), DeviceError> {
         self.link.set("OFF", haste)?;
+        self.is_off(haste)
+    }
+
+    fn is_off(&mut self, haste: Haste) -> Result<(), DeviceError> {
         if self.status(haste)? {
             let told =
                 "OFF was acknowledged, but it is still ENABLED; take it as emitting, use key or interlock";
@@ -201,7 +205,7 @@ impl Laser for Smd12 {
 
     fn switch_off(&mut self) -> Result<(), DeviceError> {
         (self.ramp, self.fault) = (Ramp::Dark, None);
-        let mut result = self.link.make_dark().and_then(|()| self.confirm_off(Haste::Urgent));
+        let mut result = self.link.off_at_once().and_then(|()| self.is_off(Haste::Urgent));
         for _again in 1..ATTEMPTS_TO_OFF {
             if result.as_ref().is_err_and(|error| error.kind() != ErrorKind::Lost) {
                 result = self.confirm_off(Haste::Urgent);

@@ -87,6 +87,22 @@ impl Link {
         self.line.send(DARK).map_err(|error| self.line.error(&error, "making it dark"))
     }
 
+    /// Sends OFF before anything else; whether it was obeyed is for the status to tell.
+    pub(crate) fn off_at_once(&mut self) -> Result<(), DeviceError> {
+        if self.last.is_none() {
+            return self.make_dark();
+        }
+        match self.exchange("OFF", SHORT_PATIENCE, reply::taken) {
+            Ok(()) => {
+                self.last = Some(Shape::Taken);
+                Ok(())
+            }
+            Err(Trouble::Lost(error)) => Err(self.line.error(&error, "OFF")),
+            // Once more, and in any case: the status is asked for after getting into step.
+            Err(_) => self.make_dark(),
+        }
+    }
+
     /// A command that is answered with an empty line.
     pub(crate) fn set(&mut self, command: &str, haste: Haste) -> Result<(), DeviceError> {
         self.ask(command, Shape::Taken, haste, reply::taken)

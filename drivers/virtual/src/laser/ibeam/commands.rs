@@ -24,8 +24,8 @@ impl IbeamSmart {
                 if self.manners.quiet { Vec::new() } else { texts }
             }
             _ => match self.faults.refuses_with.clone() {
-                Some(refusal) => vec![refusal],
-                None => self.set(&words),
+                Some(refusal) if !matches!(words[..], ["laser", "off"] | ["disable", _]) => vec![refusal],
+                _ => self.set(&words),
             },
         }
     }

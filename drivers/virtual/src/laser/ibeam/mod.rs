@@ -42,7 +42,7 @@ pub struct Faults {
     pub power_error: f64,
     /// Part by which a set level is stored wrongly.
     pub level_error: f64,
-    /// Sets are answered with this line, and change nothing.
+    /// Sets are answered with this line, and change nothing; those that make it dark are always obeyed.
     pub refuses_with: Option<String>,
     /// A line that appears in the next answer.
     pub chatter: Option<String>,

@@ -25,7 +25,7 @@ const DARK_MW: f64 = 1e-3;
 pub struct Faults {
     /// It takes commands and says nothing.
     pub silent: bool,
-    /// Sets are answered with this error number, and change nothing.
+    /// Sets are answered with this error number, and change nothing; `OFF` is always obeyed.
     pub refuses_with: Option<u32>,
     /// `TIMERS?` comes without its empty line at the end.
     pub timers_without_end: bool,
@@ -140,7 +140,7 @@ impl Smd12 {
         match word {
             "VERSION?" | "SOFTVER?" => "SMD12 virtual 1.0".to_owned(),
             "STATUS?" => if self.on { "ENABLED" } else { "DISABLED" }.to_owned(),
-            "ON" | "OFF" if self.faults.refuses_with.is_some() => self.refusal(0),
+            "ON" if self.faults.refuses_with.is_some() => self.refusal(0),
             "ON" => {
                 self.on = !self.head.interlock_open() && !self.faults.key_off;
                 String::new()
