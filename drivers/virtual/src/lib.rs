@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`table`] | [`OpticalTable`]: what all virtual devices share, in memory that processes map |
 //! | [`stage`] | [`TangoModel`](stage::TangoModel), a TANGO controller with its stage |
+//! | [`laser`] | lasers: iBEAM smart, SMD12, and one without a data link |
 //! | [`log`] | [`EmissionLog`]: what came out of lasers and gates, by the device's own clock |
 //! | [`pty`] | a model behind a pseudo-terminal, in real time |
 //!
@@ -14,6 +15,7 @@
 //!
 //! Models are pure ([`LineModel`](sofiscope_serial_line::LineModel)): a test talks to them without a terminal.
 
+pub mod laser;
 pub mod log;
 pub mod pty;
 pub mod stage;

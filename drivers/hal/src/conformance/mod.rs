@@ -1,4 +1,4 @@
-//! What every camera driver must pass, whatever stands behind it.
+//! What every camera driver must pass, whatever stands behind it; lasers have [a suite of their own](laser()).
 //!
 //! In: a [`CameraRig`], which has a camera and knows how to let it expose. Out: nothing.
 //! Never: sleeps, reads a clock, knows which device it tests; it waits only in `next_frame`.
@@ -15,11 +15,13 @@
 
 mod frames;
 mod stage;
+mod laser;
 mod states;
 #[cfg(test)]
 mod tests;
 
 pub use stage::{StageRig, stage};
+pub use laser::{LaserRig, laser};
 
 use std::time::Duration;
 
