@@ -21,7 +21,9 @@ fn hello_tells_who_it_is() {
     let mut bench = Bench::new();
     let line = bench.say(&frame(7, command::HELLO, 0, &[]));
     let sent = String::from_utf8(line).unwrap();
-    assert_eq!(&sent[..sent.len() - 5], ":0007810005004B4B0101000000 2A0804010000FA01".replace("004B4B", "00474B").replace(' ', "") + &format!("{:04X}", bench.config()));
+    let expected = ":000781000500474B01010000002A0804010000FA01";
+    assert_eq!(sent[..sent.len() - 9], expected);
+    assert_eq!(sent[sent.len() - 9..][..4], format!("{:04X}", bench.config()));
 }
 
 #[test]
@@ -44,12 +46,12 @@ fn without_heartbeats_gates_close_at_a_quarter_second_and_stay_closed() {
     bench.arm();
     bench.command(command::GATES, &[1]);
     let armed = bench.now_us;
-    for _ in 0..4 {
+    for _ in 0..3 {
         bench.pass(200_000);
         assert_eq!(bench.command(command::HEARTBEAT, &[]).status, status::OK);
     }
     let last = bench.now_us;
-    assert!(last - armed >= 800_000, "heartbeats hold it");
+    assert!(last - armed >= 600_000, "heartbeats hold it");
     bench.pass(249_999);
     assert_eq!(bench.outputs.gates, 1);
     bench.pass(1);

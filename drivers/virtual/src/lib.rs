@@ -5,6 +5,7 @@
 //! | [`table`] | [`OpticalTable`]: what all virtual devices share, in memory that processes map |
 //! | [`log`] | [`EmissionLog`]: what came out of lasers and gates, by the device's own clock |
 //! | [`pty`] | a model behind a pseudo-terminal, in real time |
+//! | [`trigger`] | trigger controllers: gatekeeper, Arduino and TeensyPulseGenerator of Micro-Manager |
 //!
 //! In: bytes over pseudo-terminals, and what the other devices do to the optical table. Out: bytes, and what this
 //! device does to the table. Never: pretends to be real: every identity says that it is simulated where its
@@ -16,6 +17,7 @@
 pub mod log;
 pub mod pty;
 pub mod table;
+pub mod trigger;
 
 pub use log::EmissionLog;
 pub use table::OpticalTable;

@@ -14,9 +14,14 @@
 //! ```
 
 mod frames;
+#[cfg(test)]
+mod gate_tests;
+mod gates;
 mod states;
 #[cfg(test)]
 mod tests;
+
+pub use gates::{GateRig, gates};
 
 use std::time::Duration;
 
