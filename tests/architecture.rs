@@ -110,6 +110,7 @@ const DRIVERS: [(&str, &[&str]); 18] = [
     ("form", &[]),
     ("gated-laser", &["sofiscope_hal", "sofiscope_virtual"]),
     ("gatekeeper", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
+    ("gatekeeper-core", &[]),
     ("genicam", &["sofiscope_hal"]),
     ("hal", &[]),
     ("laserquantum-smd12", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
@@ -121,14 +122,18 @@ const DRIVERS: [(&str, &[&str]); 18] = [
     ("serial-line", &["sofiscope_hal"]),
     ("sim", &["sofiscope_form", "sofiscope_hal"]),
     ("toptica-ibeam-smart", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
-    ("virtual", &["sofiscope_hal", "sofiscope_serial_line"]),
+    ("virtual", &["sofiscope_gatekeeper_core", "sofiscope_hal", "sofiscope_serial_line"]),
 ];
 
 /// Files that may hold `unsafe` code, each with its reason.
-const UNSAFE: [(&str, &str); 2] = [
+const UNSAFE: [(&str, &str); 3] = [
     (
         "src/sofi/cumulant/prefetch.rs",
         "the prefetch instruction has no safe form; it can neither fault nor change a value",
+    ),
+    (
+        "drivers/gatekeeper-core/src/firmware.rs",
+        "the firmware of the trigger controller is C; the virtual board runs the same code as the real one",
     ),
     (
         "drivers/virtual/src/table/cells.rs",

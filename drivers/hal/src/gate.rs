@@ -117,7 +117,8 @@ pub trait GateController: Send {
     /// Loads patterns and steps through them, one per exposure, until stopped.
     ///
     /// # Errors
-    /// [`OutOfRange`](crate::ErrorKind::OutOfRange) for sequences that are empty or too long.
+    /// [`OutOfRange`](crate::ErrorKind::OutOfRange) for sequences that are empty, too long, or of gates that are
+    /// not there, [`Fault`](crate::ErrorKind::Fault) unless armed.
     fn begin_sequence(&mut self, patterns: &[GatePattern]) -> Result<(), DeviceError>;
 
     /// Ends a sequence with all gates closed.

@@ -7,6 +7,7 @@
 //! | [`laser`] | lasers: iBEAM smart, SMD12, and one without a data link |
 //! | [`log`] | [`EmissionLog`]: what came out of lasers and gates, by the device's own clock |
 //! | [`pty`] | a model behind a pseudo-terminal, in real time |
+//! | [`trigger`] | trigger controllers: gatekeeper, Arduino and TeensyPulseGenerator of Micro-Manager |
 //!
 //! In: bytes over pseudo-terminals, and what the other devices do to the optical table. Out: bytes, and what this
 //! device does to the table. Never: pretends to be real: every identity says that it is simulated where its
@@ -20,6 +21,7 @@ pub mod log;
 pub mod pty;
 pub mod stage;
 pub mod table;
+pub mod trigger;
 
 pub use log::EmissionLog;
 pub use table::OpticalTable;

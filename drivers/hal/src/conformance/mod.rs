@@ -16,12 +16,16 @@
 mod frames;
 mod stage;
 mod laser;
+#[cfg(test)]
+mod gate_tests;
+mod gates;
 mod states;
 #[cfg(test)]
 mod tests;
 
 pub use stage::{StageRig, stage};
 pub use laser::{LaserRig, laser};
+pub use gates::{GateRig, gates};
 
 use std::time::Duration;
 
