@@ -2,6 +2,7 @@
 //!
 //! | module | what |
 //! |---|---|
+//! | [`gige`] | a GigE Vision camera on an address of this computer |
 //! | [`table`] | [`OpticalTable`]: what all virtual devices share, in memory that processes map |
 //! | [`log`] | [`EmissionLog`]: what came out of lasers and gates, by the device's own clock |
 //! | [`pty`] | a model behind a pseudo-terminal, in real time |
@@ -13,6 +14,7 @@
 //!
 //! Models are pure ([`LineModel`](sofiscope_serial_line::LineModel)): a test talks to them without a terminal.
 
+pub mod gige;
 pub mod log;
 pub mod pty;
 pub mod table;
