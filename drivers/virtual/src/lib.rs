@@ -2,6 +2,7 @@
 //!
 //! | module | what |
 //! |---|---|
+//! | [`gige`] | a GigE Vision camera on an address of this computer |
 //! | [`table`] | [`OpticalTable`]: what all virtual devices share, in memory that processes map |
 //! | [`stage`] | [`TangoModel`](stage::TangoModel), a TANGO controller with its stage |
 //! | [`laser`] | lasers: iBEAM smart, SMD12, and one without a data link |
@@ -17,6 +18,7 @@
 //! Models are pure ([`LineModel`](sofiscope_serial_line::LineModel)): a test talks to them without a terminal.
 
 pub mod laser;
+pub mod gige;
 pub mod log;
 pub mod pty;
 pub mod stage;
