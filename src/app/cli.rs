@@ -33,6 +33,14 @@ enum Command {
     Score(super::score::ScoreArguments),
     /// List all faults of a scene, fluorophores or dichroics file
     Check(super::check::CheckArguments),
+    /// Show which devices answer, ask them who they are, and start virtual ones
+    Devices(super::devices::DevicesArguments),
+    /// Hold lasers and gates for an instrument process; started by it, never by hand
+    #[command(hide = true)]
+    LaserGuard(super::hardware::GuardArguments),
+    /// Be one virtual device; started by `devices virtual up`, never by hand
+    #[command(hide = true)]
+    VirtualDevice(super::virtual_devices::DeviceArguments),
 }
 
 /// Runs the command that the arguments name; returns the exit code.
@@ -51,6 +59,9 @@ pub fn run(arguments: Arguments) -> Result<u8, AppError> {
         Command::Simulate(arguments) => super::simulate::run(&arguments),
         Command::Score(arguments) => super::score::run(&arguments),
         Command::Check(arguments) => super::check::run(&arguments),
+        Command::Devices(arguments) => super::devices::run(&arguments),
+        Command::LaserGuard(arguments) => super::hardware::run_guard(&arguments),
+        Command::VirtualDevice(arguments) => super::virtual_devices::run(&arguments),
     };
     done.map(|()| 0)
 }

@@ -13,7 +13,9 @@ pub mod check;
 mod cli;
 mod data_path;
 mod demo;
+mod devices;
 mod error;
+mod hardware;
 mod keeping;
 mod live_path;
 mod preview_picture;
@@ -28,6 +30,7 @@ pub mod simulate;
 mod simulated;
 mod summary;
 mod text_file;
+mod virtual_devices;
 
 pub use cli::{Arguments, run};
 pub use error::AppError;

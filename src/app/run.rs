@@ -3,6 +3,7 @@
 use super::AppError;
 use super::analysis::{self, Prepared};
 use super::analysis_note::AnalysisNote;
+use super::hardware;
 use super::live_path::PathOptions;
 use super::session::{acquire, analysis_of, write, write_preview};
 use super::simulated::{self, Rig};
@@ -17,7 +18,7 @@ use crate::files::free_bytes;
 use crate::recording::disk_rate;
 use crate::sofi::spectra::{Species, SpectralResponse};
 use serde::Serialize;
-use sofiscope_hal::{Channel, TriggerMode};
+use sofiscope_hal::{CameraIdentity, Channel, TriggerMode};
 use sofiscope_sim::instrument::Pace;
 use sofiscope_sim::{Film, InstrumentSettings, Scenario, Scene, Source, World};
 use std::path::{Path, PathBuf};
@@ -176,12 +177,49 @@ fn set_up(arguments: &RunArguments) -> Result<Setup, AppError> {
         let list: Vec<String> = misfits.iter().map(ToString::to_string).collect();
         return Err(refused(&arguments.plan, &list.join("; ")));
     }
-    let (rig, source, patience) = open(&plan, &instrument, &instrument_path)?;
+    let is_simulated = instrument.cameras().iter().any(|camera| camera.kind == CameraKind::Simulated);
+    let (rig, source, patience) = if is_simulated {
+        open(&plan, &instrument, &instrument_path)?
+    } else {
+        open_hardware(&plan, &instrument, &instrument_text)?
+    };
     let texts = vec![("plan.yaml".to_owned(), plan_text), ("instrument.toml".to_owned(), instrument_text)];
     Ok(Setup { plan, texts, rig, source, patience })
 }
 
-/// Opens the devices that the instrument file names.
+/// Opens the devices that the instrument file names, real or virtual.
+fn open_hardware(
+    plan: &Plan,
+    instrument: &Instrument,
+    text: &str,
+) -> Result<(Rig, analysis::Source, Patience), AppError> {
+    let hardware::Opened { rig, is_virtual, .. } = hardware::open(instrument, text)?;
+    if is_virtual {
+        eprintln!("all devices are VIRTUAL: no hardware is involved, and what the cameras show is simulated");
+    }
+    let region = plan
+        .region(Channel::Reflected)
+        .or(instrument.camera(Channel::Reflected).and_then(|camera| camera.region));
+    let (width, height) = region.map_or(rig.sensors[0], |region| (region.width, region.height));
+    let identities = rig.identities.clone();
+    let input = |role: &str, index: usize| {
+        let CameraIdentity { vendor, model, serial, .. } = &identities[index];
+        (role.to_owned(), format!("{vendor} {model}, S/N {serial}"), "uint16".to_owned())
+    };
+    let source = analysis::Source {
+        inputs: vec![input("camera R", 0), input("camera T", 1)],
+        height: height as usize,
+        width: width as usize,
+        frames: plan.exposures_per_series().unwrap_or(NO_CERTAIN_END),
+        pixel_pitch_nm: Some(instrument.pixel_pitch_nm()),
+        exposure_ms: Some(plan.cameras().period.as_secs_f64() * 1e3),
+        simulated: is_virtual,
+        species: None,
+    };
+    Ok((rig, source, Patience::Live))
+}
+
+/// Opens the simulated devices that the instrument file names.
 fn open(
     plan: &Plan,
     instrument: &Instrument,

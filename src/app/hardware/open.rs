@@ -1,0 +1,141 @@
+//! Everything that an instrument file names, opened in the order in which it is safe: lasers dark first.
+
+use sofiscope_hal::{Camera, Channel, Micrometers, MillimetersPerSecond, Region, Stage, TriggerSource};
+use sofiscope_maerzhaeuser_tango::{LINE_SETTINGS, Tango, TangoSettings};
+use sofiscope_micromanager_teensy_pulse::TeensyPulse;
+use sofiscope_serial_line::Line;
+use std::time::Duration;
+
+use super::super::AppError;
+use super::super::simulated::Rig;
+use super::cameras;
+use super::drive::AwaitedStage;
+use super::guarded::Guarded;
+use crate::config::{Instrument, StageEntry, TriggerKind};
+use crate::control::contracts::{Illumination, NoLasers, StageDrive};
+use crate::control::sequencer::{CameraStation, Devices};
+
+/// The stage is never faster than this, millimeters per second.
+const FASTEST_STAGE: f64 = 20.0;
+/// How far from its target a move may end, micrometers.
+const STAGE_TOLERANCE: f64 = 1.0;
+/// Width of the pulses of a clock of its own.
+const PULSE_WIDTH: Duration = Duration::from_millis(1);
+
+/// An instrument whose devices are open.
+pub(in crate::app) struct Opened {
+    /// For the sequencer.
+    pub(in crate::app) rig: Rig,
+    /// Whether the devices are virtual ones: no hardware is involved.
+    pub(in crate::app) is_virtual: bool,
+    /// Everything that answered, for people.
+    pub(in crate::app) identities: Vec<String>,
+}
+
+/// Opens the instrument; `text` is its file, which the laser guard reads for itself.
+///
+/// # Errors
+/// [`AppError::Device`] with the device that could not be opened; everything opened before is dark and still.
+pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened, AppError> {
+    let hardware = instrument.hardware();
+    let guard = match &hardware.gates {
+        Some(_) => Some(Guarded::start(text)?),
+        None => None,
+    };
+    if let Some((guard, state)) = &guard {
+        tracing::info!(process = guard.process_id(), controller = %state.controller, "laser guard");
+        if !state.has_watchdog {
+            eprintln!(
+                "the trigger controller ({}) has no watchdog: only the laser guard closes its gates, and nothing \
+                 does when the guard itself is killed",
+                state.controller
+            );
+        }
+    }
+    let mut identities = Vec::new();
+    let guard = guard.map(|(guard, state)| {
+        identities.push(state.controller.to_string());
+        let lines = state.lines.iter().map(|line| format!("{} nm: {}, gate {}", line.wavelength_nm, line.identity, line.gate));
+        identities.extend(lines);
+        guard
+    });
+    let trigger: Option<Box<dyn TriggerSource>> = match (instrument.trigger(), &hardware.clock, &guard) {
+        (TriggerKind::Gates, _, Some(guard)) => Some(Box::new(guard.clone())),
+        (TriggerKind::TeensyPulse, Some(port), _) => {
+            let line = Line::open(&port.path, TeensyPulse::line_settings(), "camera clock").map_err(device)?;
+            Some(Box::new(TeensyPulse::connect(line, PULSE_WIDTH).map_err(device)?))
+        }
+        _ => None,
+    };
+    let stage = match &hardware.stage {
+        None => None,
+        Some(entry) => {
+            let stage = stage(entry)?;
+            identities.push(stage.identity().to_string());
+            Some(Box::new(AwaitedStage(Box::new(stage))) as Box<dyn StageDrive>)
+        }
+    };
+    let [Some(r), Some(t)] = Channel::BOTH.map(|channel| instrument.camera(channel)) else {
+        return Err(AppError::Usage("a run needs both cameras; name both in the instrument file".to_owned()));
+    };
+    let cameras = [cameras::open(r)?, cameras::open(t)?];
+    for (entry, camera) in [r, t].into_iter().zip(&cameras) {
+        let identity = camera.identity();
+        identities.push(format!("{}: {} {}, S/N {}", entry.channel, identity.vendor, identity.model, identity.serial));
+    }
+    let lasers: Box<dyn Illumination> = match guard {
+        Some(guard) => Box::new(guard),
+        None => Box::new(NoLasers),
+    };
+    Ok(Opened {
+        rig: rig(instrument, cameras, trigger, lasers, stage),
+        is_virtual: hardware.virtual_devices.is_some(),
+        identities,
+    })
+}
+
+fn stage(entry: &StageEntry) -> Result<Tango, AppError> {
+    let line = Line::open(&entry.port.path, LINE_SETTINGS, "stage").map_err(device)?;
+    let serial = entry.port.serial.clone().ok_or_else(|| {
+        AppError::Usage("the stage has no `serial` in the instrument file; write what `devices list` shows".to_owned())
+    })?;
+    let settings = TangoSettings {
+        serial,
+        envelope: entry.envelope.clone(),
+        fastest: MillimetersPerSecond::new(FASTEST_STAGE).unwrap_or_default(),
+        tolerance: Micrometers::new(STAGE_TOLERANCE).unwrap_or_default(),
+    };
+    Tango::open(line, settings).map_err(device)
+}
+
+fn rig(
+    instrument: &Instrument,
+    cameras: [Box<dyn Camera>; 2],
+    trigger: Option<Box<dyn TriggerSource>>,
+    lasers: Box<dyn Illumination>,
+    stage: Option<Box<dyn StageDrive>>,
+) -> Rig {
+    let identities = cameras.each_ref().map(|camera| camera.identity().clone());
+    let capabilities = cameras.each_ref().map(|camera| camera.capabilities().clone());
+    let stations = Channel::BOTH.into_iter().zip(cameras).map(|(channel, camera)| {
+        let whole = Region {
+            left: 0,
+            top: 0,
+            width: camera.capabilities().sensor_width,
+            height: camera.capabilities().sensor_height,
+        };
+        let region = instrument.camera(channel).and_then(|entry| entry.region).unwrap_or(whole);
+        CameraStation { channel, camera, region }
+    });
+    Rig {
+        devices: Devices::new(stations.collect(), trigger, lasers, stage),
+        identities,
+        sensors: capabilities.each_ref().map(|camera| (camera.sensor_width, camera.sensor_height)),
+        shortest_periods: capabilities.each_ref().map(|camera| camera.shortest_period),
+        saturation_counts: capabilities.each_ref().map(|camera| camera.saturation_counts),
+    }
+}
+
+fn device(error: sofiscope_hal::DeviceError) -> AppError {
+    AppError::Device(error.to_string())
+}
