@@ -155,10 +155,23 @@ impl<O: Output> Laser for GatedLaser<O> {
             let told = format!("{power} is not within 0 and the cap of {}; nothing was sent", self.cap);
             return Err(self.error(ErrorKind::OutOfRange, told));
         }
-        self.level_for(power)?;
-        self.power_set = power;
+        let level = self.level_for(power)?;
         // In the dark the level stays zero; it is applied when the laser is switched on.
-        if self.commanded { self.switch_on() } else { Ok(()) }
+        if self.commanded {
+            match self.output.set_level(level) {
+                Ok(()) => {}
+                Err(error) if error.kind() == ErrorKind::Busy => {
+                    self.darken("went dark by itself; look at the controller, then switch on again");
+                }
+                Err(error) => {
+                    self.commanded = false;
+                    self.fault = Some(error.to_string());
+                    return Err(self.output.withhold().err().unwrap_or(error));
+                }
+            }
+        }
+        self.power_set = power;
+        Ok(())
     }
 
     fn switch_on(&mut self) -> Result<(), DeviceError> {

@@ -38,6 +38,12 @@ pub trait Output: Send {
     /// [`Fault`](ErrorKind::Fault) unless the controller is armed and has not tripped; what the controller says.
     fn grant(&mut self, level: Volts) -> Result<(), DeviceError>;
 
+    /// Applies another level to an output that is granted, and never grants it.
+    ///
+    /// # Errors
+    /// [`Busy`](ErrorKind::Busy) when it is withheld; what the controller says.
+    fn set_level(&mut self, level: Volts) -> Result<(), DeviceError>;
+
     /// Level zero, gate closed, and closed for all patterns to come; twice is no error.
     ///
     /// # Errors
@@ -133,6 +139,17 @@ impl<C: GateController> Permitting<C> {
         Ok(())
     }
 
+    /// As [`Output::set_level`].
+    ///
+    /// # Errors
+    /// As [`Output::set_level`].
+    pub fn set_level_of(&mut self, wiring: Wiring, level: Volts) -> Result<(), DeviceError> {
+        if self.output_state(wiring)?.permission == Permission::Withheld {
+            return Err(self.error(ErrorKind::Busy, "the laser is off; switch it on first".to_owned()));
+        }
+        self.grant(wiring, level)
+    }
+
     /// As [`Output::withhold`].
     ///
     /// # Errors
@@ -162,8 +179,7 @@ impl<C: GateController> Permitting<C> {
     fn close(&mut self, wiring: Wiring) -> Result<(), DeviceError> {
         let Some(line) = wiring.line else { return Ok(()) };
         if self.sequence.has(line) {
-            self.sequence = GatePattern::CLOSED;
-            return self.controller.end_sequence();
+            return self.end_sequence();
         }
         match self.controller.state() {
             Ok(state) if !state.armed || !state.open.has(line) => Ok(()),
@@ -175,7 +191,6 @@ impl<C: GateController> Permitting<C> {
 
     /// Takes all permissions back, and all levels to zero.
     fn withdraw(&mut self) -> Result<(), DeviceError> {
-        self.sequence = GatePattern::CLOSED;
         let mut result = Ok(());
         for (wiring, claim) in &mut self.claims {
             let dark = match wiring.output {
@@ -221,12 +236,15 @@ impl<C: GateController> GateController for Permitting<C> {
 
     /// Arms in the dark: permissions that were granted before are gone.
     fn arm(&mut self) -> Result<(), DeviceError> {
-        self.withdraw()?;
+        self.disarm()?;
         self.controller.arm()
     }
 
     fn disarm(&mut self) -> Result<(), DeviceError> {
         let disarmed = self.controller.disarm();
+        if disarmed.is_ok() {
+            self.sequence = GatePattern::CLOSED;
+        }
         disarmed.and(self.withdraw())
     }
 
@@ -253,8 +271,10 @@ impl<C: GateController> GateController for Permitting<C> {
     }
 
     fn end_sequence(&mut self) -> Result<(), DeviceError> {
+        self.controller.end_sequence()?;
+        // Only now: a sequence that could not be ended still opens its gates.
         self.sequence = GatePattern::CLOSED;
-        self.controller.end_sequence()
+        Ok(())
     }
 
     fn heartbeat(&mut self) -> Result<(), DeviceError> {
@@ -266,6 +286,7 @@ impl<C: GateController> GateController for Permitting<C> {
         let state = self.controller.state()?;
         let reset = self.epoch.replace(state.epoch).is_some_and(|epoch| epoch != state.epoch);
         if reset || state.trip.is_some() {
+            self.sequence = GatePattern::CLOSED;
             self.withdraw()?;
         }
         Ok(state)

@@ -38,9 +38,9 @@ fn opening() -> ScriptedPort {
 
 fn open(port: &ScriptedPort) -> Smd12 {
     let line = Line::new(Box::new(port.clone()), "laser 561");
-    let cap = Milliwatts::new(200.0).unwrap();
+    let cap = Milliwatts::new(200.0).expect("it is finite");
     let settings = Smd12Settings { wavelength_nm: 561, version: "SMD12 1.0".into(), cap };
-    Smd12::open(line, settings, Box::new(|| Duration::ZERO)).unwrap()
+    Smd12::open(line, settings, Box::new(|| Duration::ZERO)).expect("the script answers as the laser does")
 }
 
 fn leaving(port: ScriptedPort) -> ScriptedPort {

@@ -48,10 +48,10 @@ fn opening() -> ScriptedPort {
 
 fn open(port: &ScriptedPort) -> IbeamSmart {
     let line = Line::new(Box::new(port.clone()), "laser 488");
-    let cap = Milliwatts::new(60.0).unwrap();
+    let cap = Milliwatts::new(60.0).expect("it is finite");
     let settings =
         IbeamSettings { wavelength_nm: 488, serial: "S-1".into(), cap, modulation: Modulation::External };
-    IbeamSmart::open(line, settings).unwrap()
+    IbeamSmart::open(line, settings).expect("the script answers as the laser does")
 }
 
 fn leaving(port: ScriptedPort) -> ScriptedPort {

@@ -212,7 +212,7 @@ fn lost_ends_banners_and_garbage_are_overcome_without_losing_the_light() {
 fn a_reboot_by_itself_is_dark_and_told() {
     let mut bench = Bench::new();
     let mut laser = bench.bright();
-    bench.model(|model, now| model.restart(now));
+    bench.model(sofiscope_virtual::laser::IbeamSmart::restart);
     bench.port.pass(Duration::from_secs(7));
     let told = laser.state();
     assert!(
