@@ -41,7 +41,7 @@ impl Brake {
     /// Sends STOP.
     pub(crate) fn stop(&self) -> io::Result<()> {
         self.stops.fetch_add(1, Ordering::SeqCst);
-        // The lock is held for one byte, and the handle does not wait for room.
+        // The lock is held for one byte; the handle waits 100 ms at most where the system has no room for it.
         self.sender.lock().unwrap_or_else(PoisonError::into_inner).write_all(ABORT)
     }
 }

@@ -7,6 +7,10 @@ use std::time::Duration;
 
 use serialport::{ClearBuffer, DataBits, FlowControl, Parity, SerialPort, StopBits};
 
+/// How long a command may wait for room in the system's queue. With no time at all, a terminal that is short of room
+/// for a moment would refuse it, and a STOP would be lost.
+const ROOM_WITHIN: Duration = Duration::from_millis(100);
+
 /// One end of a serial line, owned by one thread.
 pub trait Port: Send {
     /// Sends all bytes.
@@ -97,6 +101,9 @@ struct Tty(Box<dyn SerialPort>);
 
 impl Port for Tty {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        if self.0.timeout() != ROOM_WITHIN {
+            self.0.set_timeout(ROOM_WITHIN)?;
+        }
         self.0.write_all(bytes)
     }
 
@@ -120,7 +127,9 @@ impl Port for Tty {
     }
 
     fn sender(&self) -> io::Result<Box<dyn Write + Send>> {
-        Ok(Box::new(Sender(self.0.try_clone()?)))
+        let mut port = self.0.try_clone()?;
+        port.set_timeout(ROOM_WITHIN)?;
+        Ok(Box::new(Sender(port)))
     }
 }
 

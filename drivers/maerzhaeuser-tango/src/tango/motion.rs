@@ -76,7 +76,7 @@ impl Tango {
             return Err(self.stopped());
         }
         let before = std::mem::replace(&mut self.activity, activity);
-        self.stops_before = stops;
+        let stops_before = std::mem::replace(&mut self.stops_before, stops);
         self.dialog.send(command)?;
         if self.brake.stops() != stops {
             // STOP may have overtaken the command on the line: it is sent again, behind it.
@@ -89,7 +89,7 @@ impl Tango {
         if let Err(error) = &accepted
             && !matches!(error.kind(), ErrorKind::Lost | ErrorKind::Timeout | ErrorKind::Protocol)
         {
-            self.activity = before;
+            (self.activity, self.stops_before) = (before, stops_before);
         }
         accepted
     }

@@ -2,8 +2,9 @@
 
 use proptest::prelude::*;
 use sofiscope_hal::{Micrometers, Stage, StagePoint};
+use sofiscope_maerzhaeuser_tango::TangoSettings;
 
-use crate::bench::{Bench, settings};
+use crate::bench::{Bench, length, opened, settings};
 
 /// Requests of one case; with the cases, 10^5 requests.
 const REQUESTS: usize = 500;
@@ -11,10 +12,17 @@ const CASES: u32 = 200;
 
 /// Any number at all, often near the edges.
 fn number() -> impl Strategy<Value = f64> {
-    let edges = [5000.0, 100_000.0, 0.0, 60_000.0, 120_000.0, -2000.0];
+    let edges = [5000.07, 99_999.96, 0.0, 60_000.0, 120_000.0, -2000.0];
     let near = (prop::sample::select(edges.to_vec()), -0.2..0.2_f64).prop_map(|(edge, off)| edge + off);
     let odd = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX, f64::MIN_POSITIVE, -0.0, 1e300];
     prop_oneof![any::<f64>(), near, -1e4..1.3e5_f64, 5000.0..60_000.0_f64, prop::sample::select(odd.to_vec())]
+}
+
+/// Limits that are not on the grid of the controller.
+fn odd() -> TangoSettings {
+    let mut settings = settings();
+    settings.envelope.x = length(5000.07)..=length(99_999.96);
+    settings
 }
 
 /// The target of a command, in micrometers; `None` for commands that do not move.
@@ -44,6 +52,8 @@ proptest! {
         requests in prop::collection::vec((number(), number()), REQUESTS),
     ) {
         let mut bench = Bench::homed();
+        let configured = odd();
+        bench.stage = opened(&bench.port, configured.clone()).unwrap();
         bench.received();
         let envelope = bench.stage.envelope().clone();
         prop_assert_eq!(envelope.y.start().value(), 0.0);
@@ -67,7 +77,7 @@ proptest! {
             prop_assert_eq!(targets.len(), 1);
             for [x, y] in targets {
                 let sent = StagePoint { x: Micrometers::new(x).unwrap(), y: Micrometers::new(y).unwrap() };
-                prop_assert!(envelope.contains(sent) && settings().envelope.contains(sent), "{:?}", received);
+                prop_assert!(envelope.contains(sent) && configured.envelope.contains(sent), "{:?}", received);
             }
         }
     }

@@ -40,6 +40,7 @@ fn stuck_timed_out_and_switched_axes_are_faults() {
         (Jam::Moving, "the motion goes on after"),
         (Jam::Timeout, "needed too long"),
         (Jam::Switch, "stands in an end switch (error 12: limit switch actuated)"),
+        (Jam::Short, "the move to (10.0000 10.0000) mm ended at (65000 µm, 45000 µm)"),
     ];
     for (jam, expected) in jams {
         let mut bench = Bench::homed();

@@ -94,3 +94,14 @@ fn no_leg_of_homing_survives_a_stop() {
         assert_eq!(bench.ended().unwrap(), Motion::Unknown, "{word}");
     }
 }
+
+#[test]
+fn a_refused_move_after_a_stop_leaves_the_stop_in_force() {
+    let mut bench = Bench::homed();
+    bench.stage.move_to(place(10_000.0, 10_000.0)).unwrap();
+    bench.port.pass(Duration::from_secs(1));
+    bench.stage.stopper().stop_motion().unwrap();
+    bench.with(|model| model.faults().refuse = Some(32));
+    assert_eq!(bench.stage.move_to(place(20_000.0, 10_000.0)).unwrap_err().kind(), ErrorKind::OutOfRange);
+    assert_eq!(bench.ended().unwrap(), Motion::Still, "a stopped move is no fault");
+}

@@ -191,7 +191,7 @@ impl Axis {
         };
         self.place = profile.to;
         self.letter = match purpose {
-            Purpose::Target => '@',
+            Purpose::Target | Purpose::Jam(Jam::Short) => '@',
             Purpose::Calibration => {
                 (self.calibration, self.origin) = (1, self.place);
                 self.limits = [0.0, UNMEASURED_UM];

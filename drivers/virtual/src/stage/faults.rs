@@ -11,6 +11,8 @@ pub enum Jam {
     Timeout,
     /// The letter for an end switch.
     Switch,
+    /// It stands and says that it is ready, as after lost steps that an encoder has seen.
+    Short,
 }
 
 /// Faults of the controller; those of the line are [`WireFaults`](sofiscope_serial_line::WireFaults).

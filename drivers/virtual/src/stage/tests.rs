@@ -170,7 +170,7 @@ fn a_move_into_a_switch_says_so() {
 
 #[test]
 fn jams_end_as_they_are_called() {
-    for (jam, letters) in [(Jam::Moving, "M"), (Jam::Timeout, "T"), (Jam::Switch, "S")] {
+    for (jam, letters) in [(Jam::Moving, "M"), (Jam::Timeout, "T"), (Jam::Switch, "S"), (Jam::Short, "@")] {
         let mut bench = homed();
         bench.0.with(|model, _| model.faults().jam = Some(jam));
         bench.ask("!moa 0 0");
