@@ -6,6 +6,8 @@ mod bench;
 mod fuzz;
 #[cfg(test)]
 mod random;
+#[cfg(test)]
+mod shell;
 
 use bench::{Answer, Bench, command, crc, frame, status, trip};
 
