@@ -154,7 +154,9 @@ impl TeensyPulse {
     fn enquire_alone(&mut self) -> Result<Option<u32>, DeviceError> {
         let asked = self.ask(&[ENQUIRY, command::VERSION], command::VERSION, SYNC_WITHIN);
         let alone = match asked {
-            Ok(version) => self.line.drain(SYNC_WITHIN, 20 * SYNC_WITHIN).map(|rest| rest.is_empty().then_some(version)),
+            Ok(version) => {
+                self.line.drain(SYNC_WITHIN, 20 * SYNC_WITHIN).map(|rest| rest.is_empty().then_some(version))
+            }
             Err(error @ LineError::Lost(_)) => Err(error),
             Err(_) => Ok(None),
         };
@@ -176,7 +178,8 @@ impl TriggerSource for TeensyPulse {
         let period_us = u32::try_from((period.as_nanos() + 500) / 1000).ok().filter(|period| *period >= 2);
         let number = pulses.map_or(Ok(0), u32::try_from).ok().filter(|_| pulses != Some(0));
         let (Some(period_us), Some(number)) = (period_us, number) else {
-            let message = format!("a train of {pulses:?} pulses every {period:?}: at least one, 2 µs to 71 min");
+            let message =
+                format!("a train of {pulses:?} pulses every {period:?}: at least one, 2 µs to 71 min");
             return Err(self.error(ErrorKind::OutOfRange, &message));
         };
         if self.is_running()? {

@@ -203,7 +203,8 @@ impl Bench {
     }
 
     pub(super) fn train(&mut self, period: u32, number: u32, width: u32, delay: u32, open: u32) -> Answer {
-        let payload: Vec<u8> = [period, number, width, delay, open].iter().flat_map(|v| v.to_be_bytes()).collect();
+        let payload: Vec<u8> =
+            [period, number, width, delay, open].iter().flat_map(|v| v.to_be_bytes()).collect();
         self.command(command::TRAIN, &payload)
     }
 

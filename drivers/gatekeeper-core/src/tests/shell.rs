@@ -48,14 +48,16 @@ fn two_million_random_turns_have_no_fault_under_sanitizers() {
 
 #[test]
 fn the_shell_drives_its_outputs_low_before_anything_else() {
-    for (board, pins) in [("__AVR__", [7, 8, 9, 10, 12, 13, 3, 11, 6].as_slice()),
-        ("__IMXRT1062__", [9, 10, 11, 12, 14, 15, 16, 17, 3, 4, 5, 6, 13].as_slice())]
-    {
+    for (board, pins) in [
+        ("__AVR__", [7, 8, 9, 10, 12, 14, 3, 11, 6].as_slice()),
+        ("__IMXRT1062__", [9, 10, 11, 12, 14, 15, 16, 17, 3, 4, 5, 6, 13].as_slice()),
+    ] {
         let folder = tempfile::tempdir().unwrap();
         let program = folder.path().join("shell");
         let build = ["-std=c++11", "-Isrc/tests/arduino", "-I../gatekeeper/firmware/gatekeeper"];
         let define = format!("-D{board}");
-        let files = ["-o", program.to_str().unwrap(), "-x", "c++", CORE, FRAMES, "src/tests/arduino/bench.cpp"];
+        let files =
+            ["-o", program.to_str().unwrap(), "-x", "c++", CORE, FRAMES, "src/tests/arduino/bench.cpp"];
         run("c++", &[&build[..], &[define.as_str()], &files].concat());
         let printed = run(&program, &[]);
         let lines: Vec<&str> = printed.lines().collect();

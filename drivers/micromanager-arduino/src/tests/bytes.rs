@@ -31,7 +31,8 @@ fn connect(port: &ScriptedPort) -> Result<MicroManagerArduino, sofiscope_hal::De
 
 #[test]
 fn every_command_has_its_bytes() {
-    let port = closing(connecting(), 0).expect([1, 5], [1]).expect([2], [2, 5]).expect([3, 1, 8, 0], [3, 1, 8, 0]);
+    let port =
+        closing(connecting(), 0).expect([1, 5], [1]).expect([2], [2, 5]).expect([3, 1, 8, 0], [3, 1, 8, 0]);
     let port = closing(port, 0).expect([33, 0, 3, 1, 0, 2], [33, 0, 3]).expect([8], [8]);
     let port = closing(port, 77).expect([2], [2, 0]);
     let port = closing(port, 0);
@@ -52,7 +53,10 @@ fn every_command_has_its_bytes() {
 fn other_devices_are_not_taken_for_one() {
     let refused = |port: ScriptedPort| connect(&port).err().unwrap().kind();
     assert_eq!(refused(ScriptedPort::new().expect([30], "pgFocus\r\n")), ErrorKind::Identity);
-    assert_eq!(refused(ScriptedPort::new().expect([30], "MM-Ard\r\n").expect([31], "2\r\n")), ErrorKind::Identity);
+    assert_eq!(
+        refused(ScriptedPort::new().expect([30], "MM-Ard\r\n").expect([31], "2\r\n")),
+        ErrorKind::Identity
+    );
     assert_eq!(refused(ScriptedPort::new().expect([30], "").expect([30], "")), ErrorKind::Timeout);
 }
 
