@@ -106,7 +106,7 @@ pub(crate) struct Reply {
 pub(crate) fn read(line: &[u8]) -> Option<Reply> {
     let begin = line.iter().rposition(|byte| *byte == b':')?;
     let digits = &line[begin + 1..];
-    if digits.len() % 2 != 0 {
+    if !digits.len().is_multiple_of(2) {
         return None;
     }
     let bytes: Vec<u8> = digits
