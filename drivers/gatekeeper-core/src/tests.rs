@@ -6,6 +6,8 @@ mod bench;
 mod fuzz;
 #[cfg(test)]
 mod random;
+#[cfg(test)]
+mod shell;
 
 use bench::{Answer, Bench, command, crc, frame, status, trip};
 
@@ -22,7 +24,7 @@ fn hello_tells_who_it_is() {
     let line = bench.say(&frame(7, command::HELLO, 0, &[]));
     let sent = String::from_utf8(line).unwrap();
     let expected = ":000781000500474B01010000002A0804010000FA01";
-    assert_eq!(sent[..sent.len() - 9], expected);
+    assert_eq!(&sent[..sent.len() - 9], expected);
     assert_eq!(sent[sent.len() - 9..][..4], format!("{:04X}", bench.config()));
 }
 

@@ -37,9 +37,12 @@ pub(crate) const PATTERNS_PER_FRAME: usize = 18;
 /// CRC-16/CCITT-FALSE.
 pub(crate) fn crc(bytes: &[u8]) -> u16 {
     bytes.iter().fold(0xFFFF, |crc, byte| {
-        (0..8).fold(crc ^ u16::from(*byte) << 8, |crc, _| {
-            if crc & 0x8000 == 0 { crc << 1 } else { crc << 1 ^ 0x1021 }
-        })
+        (0..8).fold(
+            crc ^ u16::from(*byte) << 8,
+            |crc, _| {
+                if crc & 0x8000 == 0 { crc << 1 } else { crc << 1 ^ 0x1021 }
+            },
+        )
     })
 }
 
@@ -103,11 +106,13 @@ pub(crate) struct Reply {
 pub(crate) fn read(line: &[u8]) -> Option<Reply> {
     let begin = line.iter().rposition(|byte| *byte == b':')?;
     let digits = &line[begin + 1..];
-    if digits.len() % 2 != 0 {
+    if !digits.len().is_multiple_of(2) {
         return None;
     }
-    let bytes: Vec<u8> =
-        digits.chunks_exact(2).map(|pair| Some(value(pair[0])? << 4 | value(pair[1])?)).collect::<Option<_>>()?;
+    let bytes: Vec<u8> = digits
+        .chunks_exact(2)
+        .map(|pair| Some(value(pair[0])? << 4 | value(pair[1])?))
+        .collect::<Option<_>>()?;
     let (bytes, check) = bytes.split_last_chunk::<2>()?;
     if crc(bytes).to_be_bytes() != *check {
         return None;

@@ -14,8 +14,8 @@ use std::io::Write;
 use std::time::Duration;
 
 use sofiscope_hal::{
-    DeviceError, DeviceIdentity, ErrorKind, GateCapabilities, GateController, GatePattern, GateState, GateTrip,
-    TriggerSource, Volts,
+    DeviceError, DeviceIdentity, ErrorKind, GateCapabilities, GateController, GatePattern, GateState,
+    GateTrip, TriggerSource, Volts,
 };
 use sofiscope_serial_line::{Line, LineSettings};
 
@@ -262,7 +262,8 @@ impl GateController for Gatekeeper {
         self.assert_armed("setting gates")?;
         let report = self.done(command::GATES, &[open.0], "setting gates")?;
         if report.open != open.0 {
-            let message = format!("gates {:08b} are open instead of {:08b}, {}", report.open, open.0, tripped(&report));
+            let message =
+                format!("gates {:08b} are open instead of {:08b}, {}", report.open, open.0, tripped(&report));
             return Err(self.link.error(ErrorKind::Fault, &message));
         }
         Ok(())
@@ -303,7 +304,8 @@ impl GateController for Gatekeeper {
     fn end_sequence(&mut self) -> Result<(), DeviceError> {
         let (_, report) = self.told(command::END, &[])?;
         if report.open != 0 {
-            let message = format!("ending a sequence: gates {:08b} stay open; use the interlock", report.open);
+            let message =
+                format!("ending a sequence: gates {:08b} stay open; use the interlock", report.open);
             return Err(self.link.error(ErrorKind::Fault, &message));
         }
         Ok(())
@@ -334,7 +336,8 @@ impl TriggerSource for Gatekeeper {
         let period_us = (period.as_nanos() + 500) / 1000;
         let number = pulses.map_or(Ok(0), u32::try_from);
         let (Ok(number), true, true) = (number, pulses != Some(0), PERIODS_US.contains(&period_us)) else {
-            let message = format!("a train of {pulses:?} pulses every {period:?}: from 100 µs to 60 s, at most 2³²-1");
+            let message =
+                format!("a train of {pulses:?} pulses every {period:?}: from 100 µs to 60 s, at most 2³²-1");
             return Err(self.out_of_range(&message));
         };
         let period_us = period_us as u32;

@@ -80,7 +80,8 @@ impl Link {
             // Not done: the board counts otherwise, for example since a command of ours was lost.
             self.is_greeted = false;
         }
-        Err(self.error(ErrorKind::Protocol, "the board refuses our numbers: does another program use the port?"))
+        Err(self
+            .error(ErrorKind::Protocol, "the board refuses our numbers: does another program use the port?"))
     }
 
     fn ask(&mut self, order: u8, payload: &[u8]) -> Result<Reply, DeviceError> {
@@ -105,7 +106,9 @@ impl Link {
         self.is_greeted = false;
         Err(match last {
             Some(error) => self.line.error(&error, &format!("{doing}, sent {TRIES} times")),
-            None => self.error(ErrorKind::Protocol, &format!("{doing}: only foreign lines came; check the port")),
+            None => {
+                self.error(ErrorKind::Protocol, &format!("{doing}: only foreign lines came; check the port"))
+            }
         })
     }
 

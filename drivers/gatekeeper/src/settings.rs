@@ -45,7 +45,10 @@ impl GatekeeperSettings {
     /// What is wrong with them for a board with so many gates.
     pub(crate) fn check(&self, gates: u8) -> Result<(), String> {
         if self.longest_on_time.len() > usize::from(gates) {
-            return Err(format!("{} longest on-times, but the board has {gates} gates", self.longest_on_time.len()));
+            return Err(format!(
+                "{} longest on-times, but the board has {gates} gates",
+                self.longest_on_time.len()
+            ));
         }
         for (gate, time) in self.longest_on_time.iter().enumerate() {
             if !(1..=u128::from(LIMIT_MAX_US)).contains(&time.as_micros()) {
@@ -53,7 +56,10 @@ impl GatekeeperSettings {
             }
         }
         if self.full_scale.value() <= 0.0 {
-            return Err(format!("full scale of the analog outputs is {}: must be above 0 V", self.full_scale));
+            return Err(format!(
+                "full scale of the analog outputs is {}: must be above 0 V",
+                self.full_scale
+            ));
         }
         let (delay, open) = self.window();
         if [self.pulse_width, delay, open].iter().any(|time| time.as_micros() > u128::from(u32::MAX)) {

@@ -43,7 +43,8 @@ impl Rig {
     fn with(setup: BoardSetup, settings: GatekeeperSettings) -> Self {
         let table = OpticalTable::private().unwrap();
         let bench = Bench::quiet(table.clone(), Duration::from_secs(1000));
-        let port = ModelPort::new(Wire::new(VirtualGatekeeper::new(setup, bench), Gatekeeper::line_settings()));
+        let port =
+            ModelPort::new(Wire::new(VirtualGatekeeper::new(setup, bench), Gatekeeper::line_settings()));
         port.with(|wire, now| wire.model().open_again(now));
         let gatekeeper = Gatekeeper::connect(line(&port), settings).unwrap();
         Self { table, port, gatekeeper }
@@ -125,7 +126,10 @@ fn another_board_and_impossible_settings_are_refused() {
         assert_eq!(connect(GatekeeperSettings { longest_on_time, ..settings() }), ErrorKind::OutOfRange);
     }
     assert_eq!(connect(GatekeeperSettings { full_scale: Volts::ZERO, ..settings() }), ErrorKind::OutOfRange);
-    assert_eq!(connect(GatekeeperSettings { pulse_width: Duration::ZERO, ..settings() }), ErrorKind::OutOfRange);
+    assert_eq!(
+        connect(GatekeeperSettings { pulse_width: Duration::ZERO, ..settings() }),
+        ErrorKind::OutOfRange
+    );
 }
 
 #[test]

@@ -56,7 +56,8 @@ impl Board {
         }
         let version = self.text(command::VERSION, "asking for the protocol version")?;
         if version != VERSION {
-            let message = format!("protocol {} instead of 5; flash the firmware again", version.escape_ascii());
+            let message =
+                format!("protocol {} instead of 5; flash the firmware again", version.escape_ascii());
             return Err(self.error(ErrorKind::Identity, &message));
         }
         Ok(String::from_utf8_lossy(&name).into_owned())
@@ -103,7 +104,11 @@ impl Board {
         sent.map_err(|error| self.line.error(&error, doing))
     }
 
-    fn receive<const ANSWER: usize>(&mut self, echo: &[u8], doing: &str) -> Result<[u8; ANSWER], DeviceError> {
+    fn receive<const ANSWER: usize>(
+        &mut self,
+        echo: &[u8],
+        doing: &str,
+    ) -> Result<[u8; ANSWER], DeviceError> {
         let received = self.line.receive_exactly(echo.len() + ANSWER, ANSWER_WITHIN);
         let received = received.map_err(|error| self.line.error(&error, doing))?;
         match (received.strip_prefix(echo), received.last_chunk::<ANSWER>()) {

@@ -14,8 +14,8 @@ mod board;
 mod tests;
 
 use sofiscope_hal::{
-    DeviceError, DeviceIdentity, ErrorKind, GateCapabilities, GateController, GatePattern, GateState, GateTrip,
-    Volts,
+    DeviceError, DeviceIdentity, ErrorKind, GateCapabilities, GateController, GatePattern, GateState,
+    GateTrip, Volts,
 };
 use sofiscope_serial_line::{Line, LineSettings};
 
@@ -84,7 +84,8 @@ impl MicroManagerArduino {
         let [levels] = board.ask([command::NUM_LEVELS], "asking for the number of levels")?;
         let capacity = u16::from_be_bytes(board.ask([command::CAPACITY], "asking for the pattern memory")?);
         if !(1..=8).contains(&gates) || capacity == 0 {
-            let message = format!("{gates} gates and memory for {capacity} patterns: no board of this protocol");
+            let message =
+                format!("{gates} gates and memory for {capacity} patterns: no board of this protocol");
             return Err(board.error(ErrorKind::Protocol, &message));
         }
         let mut arduino = Self {
@@ -137,7 +138,11 @@ impl MicroManagerArduino {
         let [] = self.board.ask([command::BLANKING_OFF], "ending blanking")?;
         let [] = self.board.ask_echoed([command::SET, 0], &[command::SET], "closing")?;
         let level = u8::from(self.exposure == ExposureLevel::High);
-        let [] = self.board.ask_echoed([command::BLANK_WHILE, level], &[command::BLANK_WHILE], "setting the input")?;
+        let [] = self.board.ask_echoed(
+            [command::BLANK_WHILE, level],
+            &[command::BLANK_WHILE],
+            "setting the input",
+        )?;
         if self.expected.is_none() {
             self.triggers = triggers;
         }

@@ -21,8 +21,8 @@ use sofiscope_serial_line::{Line, LineError, LineSettings};
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 /// The same while frames are being found again: silence is the usual answer then.
 const SYNC_WITHIN: Duration = Duration::from_millis(50);
-/// Pairs that are sent at most until an answer stands by itself; two would do, were nothing lost.
-const SYNC_PAIRS: usize = 8;
+/// Pairs that are sent at most until answers stand by themselves; five would do, were nothing lost.
+const SYNC_PAIRS: usize = 12;
 const VERSION: u32 = 1;
 const ENQUIRY: u8 = 0xFF;
 
@@ -125,32 +125,42 @@ impl TeensyPulse {
         }
     }
 
-    /// Pairs that are an enquiry, or fill up a frame that was cut, until the version stands alone; then a stop,
-    /// because what was filled up may have been a start.
+    /// Pairs that are an enquiry, or fill up a frame that was cut, until two enquiries in a row have the version
+    /// as their only answer: one alone may have come from a frame that the pair filled up with its first byte.
+    /// Then a stop, because what was filled up may have been a start.
     fn resynchronize(&mut self) -> Result<(), DeviceError> {
-        let enquiry = [ENQUIRY, command::VERSION];
-        let doing = "looking for the generator";
+        let mut in_a_row = 0;
         for _ in 0..SYNC_PAIRS {
-            let version = match self.ask(&enquiry, command::VERSION, SYNC_WITHIN) {
-                Ok(version) => version,
-                Err(error @ LineError::Lost(_)) => return Err(self.line.error(&error, doing)),
-                Err(_) => continue,
+            in_a_row = match self.enquire_alone()? {
+                Some(VERSION) => in_a_row + 1,
+                Some(other) if in_a_row > 0 => {
+                    let message = format!("firmware version {other} instead of {VERSION}; flash it again");
+                    return Err(self.error(ErrorKind::Identity, &message));
+                }
+                Some(_) => 1,
+                None => 0,
             };
-            let rest = self.line.drain(SYNC_WITHIN, 20 * SYNC_WITHIN);
-            let rest = rest.map_err(|error| self.line.error(&error, doing))?;
-            if !rest.is_empty() {
-                continue;
+            if in_a_row == 2 {
+                let stopped = self.ask(&frame(command::STOP, 0), command::STOP, ANSWER_WITHIN);
+                self.pulses = stopped.map_err(|error| self.line.error(&error, "stopping"))?;
+                return Ok(());
             }
-            if version != VERSION {
-                let message = format!("firmware version {version} instead of {VERSION}; flash it again");
-                return Err(self.error(ErrorKind::Identity, &message));
-            }
-            let stopped = self.ask(&frame(command::STOP, 0), command::STOP, ANSWER_WITHIN);
-            self.pulses = stopped.map_err(|error| self.line.error(&error, "stopping"))?;
-            return Ok(());
         }
         let message = format!("{SYNC_PAIRS} times asked for its version, no answer; check cable and port");
         Err(self.error(ErrorKind::Timeout, &message))
+    }
+
+    /// The version, if it is all that comes.
+    fn enquire_alone(&mut self) -> Result<Option<u32>, DeviceError> {
+        let asked = self.ask(&[ENQUIRY, command::VERSION], command::VERSION, SYNC_WITHIN);
+        let alone = match asked {
+            Ok(version) => {
+                self.line.drain(SYNC_WITHIN, 20 * SYNC_WITHIN).map(|rest| rest.is_empty().then_some(version))
+            }
+            Err(error @ LineError::Lost(_)) => Err(error),
+            Err(_) => Ok(None),
+        };
+        alone.map_err(|error| self.line.error(&error, "looking for the generator"))
     }
 
     fn error(&self, kind: ErrorKind, message: &str) -> DeviceError {
@@ -168,7 +178,8 @@ impl TriggerSource for TeensyPulse {
         let period_us = u32::try_from((period.as_nanos() + 500) / 1000).ok().filter(|period| *period >= 2);
         let number = pulses.map_or(Ok(0), u32::try_from).ok().filter(|_| pulses != Some(0));
         let (Some(period_us), Some(number)) = (period_us, number) else {
-            let message = format!("a train of {pulses:?} pulses every {period:?}: at least one, 2 µs to 71 min");
+            let message =
+                format!("a train of {pulses:?} pulses every {period:?}: at least one, 2 µs to 71 min");
             return Err(self.error(ErrorKind::OutOfRange, &message));
         };
         if self.is_running()? {

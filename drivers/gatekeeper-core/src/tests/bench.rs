@@ -43,7 +43,7 @@ pub(super) fn crc(bytes: &[u8]) -> u16 {
     let mut remainder = 0xFFFF_u32;
     for bit in bytes.iter().flat_map(|byte| (0..8).rev().map(move |at| u32::from(byte >> at & 1))) {
         let top = remainder >> 15 ^ bit;
-        remainder = (remainder << 1 ^ top * 0x1021) & 0xFFFF;
+        remainder = ((remainder << 1) ^ (top * 0x1021)) & 0xFFFF;
     }
     remainder as u16
 }
@@ -203,7 +203,8 @@ impl Bench {
     }
 
     pub(super) fn train(&mut self, period: u32, number: u32, width: u32, delay: u32, open: u32) -> Answer {
-        let payload: Vec<u8> = [period, number, width, delay, open].iter().flat_map(|v| v.to_be_bytes()).collect();
+        let payload: Vec<u8> =
+            [period, number, width, delay, open].iter().flat_map(|v| v.to_be_bytes()).collect();
         self.command(command::TRAIN, &payload)
     }
 

@@ -31,7 +31,8 @@ fn events() -> impl Strategy<Value = Event> {
     use command::{DISARM, END, GATES, HEARTBEAT, LEVEL, LIMIT, STATE, STOP_TRAIN};
     let limit = (0_u8..9, prop_oneof![0_u32..400_000, any::<u32>()])
         .prop_map(|(gate, us)| Event::Order(LIMIT, [&[gate], us.to_be_bytes().as_slice()].concat()));
-    let bare = prop::sample::select(vec![DISARM, END, STATE, STOP_TRAIN]).prop_map(|c| Event::Order(c, vec![]));
+    let bare =
+        prop::sample::select(vec![DISARM, END, STATE, STOP_TRAIN]).prop_map(|c| Event::Order(c, vec![]));
     prop_oneof![
         6 => Just(Event::Arm),
         6 => any::<u8>().prop_map(|gates| Event::Order(GATES, vec![gates])),

@@ -15,7 +15,8 @@ static const uint8_t LEVEL_PINS[] = {3, 4, 5, 6};
 static const uint8_t PULSE_PIN = 13, INTERLOCK_PIN = 1, EXPOSURE_PIN = 0;
 #elif defined(__AVR__)
 #include <avr/wdt.h>
-static const uint8_t GATE_PINS[] = {7, 8, 9, 10, 12, 13};
+// Not 13, which the boot loader blinks; 14 is A0.
+static const uint8_t GATE_PINS[] = {7, 8, 9, 10, 12, 14};
 // 3 and 11 share a timer of their own, so that millis() and micros() keep their time.
 static const uint8_t LEVEL_PINS[] = {3, 11};
 static const uint8_t PULSE_PIN = 6, INTERLOCK_PIN = 4, EXPOSURE_PIN = 2;

@@ -5,7 +5,7 @@
 #include <string.h>
 
 static uint8_t all_gates(const gk_core *core) {
-    return core->board.gates >= 8u ? 0xFFu : (uint8_t)((1u << core->board.gates) - 1u);
+    return (uint8_t)((1u << core->board.gates) - 1u);
 }
 
 static uint32_t long_at(const uint8_t *bytes) {

@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use super::{GateRig, gates};
 use crate::{
-    DeviceError, DeviceIdentity, ErrorKind, GateCapabilities, GateController, GatePattern, GateState, GateTrip,
-    Volts,
+    DeviceError, DeviceIdentity, ErrorKind, GateCapabilities, GateController, GatePattern, GateState,
+    GateTrip, Volts,
 };
 
 const WATCHDOG: Duration = Duration::from_millis(250);

@@ -168,7 +168,8 @@ fn heartbeats_hold_and_silence_closes(rig: &mut impl GateRig) {
     rig.pass(within);
     assert!(rig.pins().is_closed(), "gates close within {within:?} after the last heartbeat");
     let told = state(rig);
-    let expected = GateState { open: GatePattern::CLOSED, armed: false, trip: Some(GateTrip::Watchdog), ..told };
+    let expected =
+        GateState { open: GatePattern::CLOSED, armed: false, trip: Some(GateTrip::Watchdog), ..told };
     assert_eq!(told, expected, "the watchdog is told");
     refused(rig.gates().set_gates(one()), ErrorKind::Fault, "opening a gate after the watchdog closed it");
     assert_open(rig, GatePattern::CLOSED, "latched");

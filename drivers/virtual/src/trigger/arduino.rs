@@ -65,6 +65,7 @@ impl Default for ArduinoDefects {
 
 /// The virtual board.
 #[derive(Debug)]
+#[expect(clippy::struct_excessive_bools, reason = "the variables of the firmware, one by one")]
 pub struct VirtualArduino {
     kind: ArduinoKind,
     defects: ArduinoDefects,

@@ -15,6 +15,8 @@ pub mod arduino;
 pub mod gatekeeper;
 pub mod pins;
 pub mod teensy_pulse;
+#[cfg(test)]
+mod tests;
 
 pub use arduino::{ArduinoDefects, ArduinoKind, VirtualArduino};
 pub use gatekeeper::{BoardSetup, VirtualGatekeeper};

@@ -14,6 +14,7 @@ const ENQUIRY: u8 = 0xFF;
 
 /// The virtual pulse generator.
 #[derive(Debug)]
+#[expect(clippy::struct_excessive_bools, reason = "the variables of the firmware, one by one")]
 pub struct VirtualTeensyPulse {
     pins: Pins,
     pending: Vec<u8>,
