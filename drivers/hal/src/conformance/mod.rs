@@ -1,6 +1,6 @@
-//! What every camera driver must pass, whatever stands behind it.
+//! What every driver of a camera or a focus drive must pass, whatever stands behind it.
 //!
-//! In: a [`CameraRig`], which has a camera and knows how to let it expose. Out: nothing.
+//! In: a [`CameraRig`], which has a camera and knows how to let it expose; a [`FocusDriveRig`]. Out: nothing.
 //! Never: sleeps, reads a clock, knows which device it tests; it waits only in `next_frame`.
 //! Fails: panics with what was expected and what was found.
 //!
@@ -13,12 +13,15 @@
 //! }
 //! ```
 
+mod focus_drive;
 mod frames;
 mod states;
 #[cfg(test)]
 mod tests;
 
 use std::time::Duration;
+
+pub use focus_drive::{FocusDriveRig, focus_drive};
 
 use crate::{
     Camera, CameraSettings, DeviceError, ErrorKind, FrameInfo, FrameStatus, FrameStream, TriggerSource,
