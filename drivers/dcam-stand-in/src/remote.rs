@@ -17,11 +17,8 @@ type Tell = unsafe extern "C" fn(*const c_char, *mut c_char, i32) -> i32;
 /// # Errors
 /// With the folders that were looked at.
 pub fn library() -> Result<PathBuf, String> {
-    let name = format!(
-        "{}sofiscope_dcam_stand_in{}",
-        std::env::consts::DLL_PREFIX,
-        std::env::consts::DLL_SUFFIX
-    );
+    let name =
+        format!("{}sofiscope_dcam_stand_in{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
     let program = std::env::current_exe().map_err(|error| error.to_string())?;
     let folder = program.parent().unwrap_or(Path::new("."));
     let folders = [folder.join("deps"), folder.to_owned(), folder.join("..").join("deps"), folder.join("..")];

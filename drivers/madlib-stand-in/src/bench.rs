@@ -203,7 +203,8 @@ impl Bench {
         self.advance();
         let words: Vec<&str> = text.split_whitespace().collect();
         let wrong = || format!("'{text}' is no command");
-        let number = |word: &str| word.parse::<f64>().ok().filter(|number| number.is_finite()).ok_or_else(wrong);
+        let number =
+            |word: &str| word.parse::<f64>().ok().filter(|number| number.is_finite()).ok_or_else(wrong);
         match words.as_slice() {
             ["reset"] => *self = Self { handles: self.handles, ..Self::new() },
             ["bits", bits @ ("16" | "20")] => self.bits = bits.parse().map_err(|_| wrong())?,
@@ -231,7 +232,8 @@ impl Bench {
             ["owned"] => self.owned = true,
             ["free"] => self.owned = false,
             ["table", path] => {
-                let table = OpticalTable::join(Path::new(path)).map_err(|error| format!("{path}: {error}"))?;
+                let table =
+                    OpticalTable::join(Path::new(path)).map_err(|error| format!("{path}: {error}"))?;
                 self.table = Some(table);
                 self.advance();
             }

@@ -4,7 +4,6 @@
 //! Fails: with the codes of Madlib.h.
 
 #![expect(unsafe_code, reason = "functions of a C library take pointers and have fixed names")]
-#![expect(non_snake_case, reason = "the names are those of Madlib.h")]
 
 use std::ffi::{CStr, c_char};
 use std::sync::{Condvar, LazyLock, Mutex, MutexGuard, Once, PoisonError};

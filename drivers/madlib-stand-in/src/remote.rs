@@ -15,16 +15,15 @@ type Tell = unsafe extern "C" fn(*const c_char, *mut c_char, i32) -> i32;
 /// # Errors
 /// With the folders that were looked at.
 pub fn library() -> Result<PathBuf, String> {
-    let name = format!(
-        "{}sofiscope_madlib_stand_in{}",
-        std::env::consts::DLL_PREFIX,
-        std::env::consts::DLL_SUFFIX
-    );
+    let name =
+        format!("{}sofiscope_madlib_stand_in{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
     let program = std::env::current_exe().map_err(|error| error.to_string())?;
     let folder = program.parent().unwrap_or(Path::new("."));
     let folders = [folder.join("deps"), folder.to_owned(), folder.join("..").join("deps"), folder.join("..")];
     let found = folders.iter().map(|folder| folder.join(&name)).find(|path| path.is_file());
-    found.ok_or_else(|| format!("{name} is not in {folders:?}; run `cargo build -p sofiscope-madlib-stand-in`"))
+    found.ok_or_else(|| {
+        format!("{name} is not in {folders:?}; run `cargo build -p sofiscope-madlib-stand-in`")
+    })
 }
 
 /// The bench of a library that is open in this process.
@@ -62,4 +61,3 @@ impl Remote {
         if done == 1 { Ok(answer) } else { Err(answer) }
     }
 }
-

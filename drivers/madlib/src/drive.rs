@@ -263,7 +263,11 @@ impl Described {
         let name = format!("Nano-Drive S/N {}", self.serial);
         let refuse = |message| Err(DeviceError::new(ErrorKind::OutOfRange, name.clone(), message));
         if self.product.axes & HAS_Z == 0 {
-            return Err(DeviceError::new(ErrorKind::Identity, name, "has no z axis; configure another device"));
+            return Err(DeviceError::new(
+                ErrorKind::Identity,
+                name,
+                "has no z axis; configure another device",
+            ));
         }
         let (least, greatest) = (options.travel.start().value(), options.travel.end().value());
         let end = self.travel_um * NM_PER_UM;

@@ -51,7 +51,9 @@ fn cannot_load(path: &Path, error: LoadError) -> DeviceError {
         ),
         LoadError::Symbol { symbol, why } => (
             ErrorKind::Protocol,
-            format!("has no function '{symbol}' ({why}); this is no Madlib, or an old one: install a newer one"),
+            format!(
+                "has no function '{symbol}' ({why}); this is no Madlib, or an old one: install a newer one"
+            ),
         ),
     };
     DeviceError::new(kind, format!("Madlib ({})", path.display()), message)

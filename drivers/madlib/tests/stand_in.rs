@@ -195,7 +195,8 @@ fn an_unplugged_drive_is_lost_and_comes_back() {
 #[test]
 fn drives_are_opened_by_serial_number() {
     let bench = Bench::new();
-    let with = |serial| NanoDrive::open(&bench.madlib, NanoDriveOptions { serial: Some(serial), ..options() });
+    let with =
+        |serial| NanoDrive::open(&bench.madlib, NanoDriveOptions { serial: Some(serial), ..options() });
     let text = failed(with(77), ErrorKind::Identity);
     assert!(text.contains("S/N 77"), "{text}");
     assert_eq!(bench.say("open"), "0", "the other device is given back");

@@ -367,8 +367,12 @@ impl Functions {
     }
 
     pub(crate) fn newest(&self, camera: Hdcam) -> Result<Newest, Failure> {
-        let mut info =
-            layout::TransferInfo { size: layout::TransferInfo::BYTES, kind: 0, newest_slot: -1, frame_count: 0 };
+        let mut info = layout::TransferInfo {
+            size: layout::TransferInfo::BYTES,
+            kind: 0,
+            newest_slot: -1,
+            frame_count: 0,
+        };
         // SAFETY: the structure has its size and lives through the call.
         checked(unsafe { (self.dcamcap_transferinfo)(camera, &raw mut info) })?;
         Ok(Newest { slot: info.newest_slot, count: info.frame_count.cast_unsigned() })
@@ -393,8 +397,7 @@ impl Functions {
 
     /// Waits for events; gives those that happened.
     pub(crate) fn wait(&self, wait: Hdcamwait, mask: i32, timeout_ms: i32) -> Result<i32, Failure> {
-        let mut start =
-            layout::WaitStart { size: layout::WaitStart::BYTES, happened: 0, mask, timeout_ms };
+        let mut start = layout::WaitStart { size: layout::WaitStart::BYTES, happened: 0, mask, timeout_ms };
         // SAFETY: the structure has its size and lives through the call.
         checked(unsafe { (self.dcamwait_start)(wait, &raw mut start) })?;
         Ok(start.happened)

@@ -36,7 +36,10 @@ pub fn focus_drive(rig: &mut impl FocusDriveRig) {
 
 fn identity_and_range_are_told(rig: &mut impl FocusDriveRig) {
     let identity = rig.drive().identity().clone();
-    assert!(!identity.vendor.trim().is_empty() && !identity.model.trim().is_empty(), "it is named: {identity:?}");
+    assert!(
+        !identity.vendor.trim().is_empty() && !identity.model.trim().is_empty(),
+        "it is named: {identity:?}"
+    );
     assert_eq!(*rig.drive().identity(), identity, "the identity stays the same");
     let range = rig.drive().range();
     let length = range.end().distance(*range.start());
@@ -82,7 +85,11 @@ fn targets_outside_are_refused_and_nothing_moves(rig: &mut impl FocusDriveRig) {
     for beyond in [1.0, length, 1e9] {
         for target in [range.start().value() - beyond, range.end().value() + beyond] {
             let target = nanometers(target);
-            refused(rig.drive().move_to(target), ErrorKind::OutOfRange, &format!("{target}, outside {range:?},"));
+            refused(
+                rig.drive().move_to(target),
+                ErrorKind::OutOfRange,
+                &format!("{target}, outside {range:?},"),
+            );
             rig.settle();
             assert_at(rig, middle, "a refused target moves nothing");
         }
