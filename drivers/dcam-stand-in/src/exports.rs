@@ -104,7 +104,8 @@ macro_rules! export {
             /// Pointers are null or point to what dcamapi4.h says, used by nobody else during the call.
             #[unsafe(no_mangle)]
             unsafe extern "C" fn $name($($argument: $type),*) -> i32 {
-                answer((|| -> Result<(), Code> { $body })())
+                fn body($($argument: $type),*) -> Result<(), Code> { $body }
+                answer(body($($argument),*))
             }
         )*
     };

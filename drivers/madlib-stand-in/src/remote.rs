@@ -4,6 +4,7 @@
 //! Fails: with the words of the bench, or when the library was not built.
 
 use std::ffi::{CString, c_char};
+use std::mem::ManuallyDrop;
 use std::path::{Path, PathBuf};
 
 use libloading::Library;
@@ -41,7 +42,7 @@ impl Remote {
     pub fn open(path: &Path) -> Result<Self, String> {
         // SAFETY: the stand-in does nothing when it is opened; it stays open, as its threads may go on.
         let library = unsafe { Library::new(path) }.map_err(|error| error.to_string())?;
-        let library: &'static Library = Box::leak(Box::new(library));
+        let library = ManuallyDrop::new(library);
         // SAFETY: the type is the one of `sofiscope_madlib_bench` in `exports.rs`.
         let tell = unsafe { library.get::<Tell>("sofiscope_madlib_bench") };
         Ok(Self { tell: *tell.map_err(|error| error.to_string())? })

@@ -5,7 +5,7 @@
 //!
 //! Functions as in Madlib.h, which the BSD-licensed Micro-Manager adapter MCL_NanoDrive includes.
 
-use std::mem::offset_of;
+use std::mem::{ManuallyDrop, offset_of};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -119,7 +119,7 @@ fn open_cpp_library() {
     match unsafe { Library::open(Some("libstdc++.so.6"), RTLD_NOW | RTLD_GLOBAL) } {
         // Stays open as long as this process lives.
         Ok(library) => {
-            Box::leak(Box::new(library));
+            let _open = ManuallyDrop::new(library);
         }
         Err(error) => tracing::debug!("libstdc++.so.6 is not there: {error}"),
     }
