@@ -61,7 +61,7 @@ macro_rules! functions {
         }
 
         impl Functions {
-            fn of(library: &'static Library) -> Result<Self, LoadError> {
+            fn of(library: &Library) -> Result<Self, LoadError> {
                 Ok(Self {
                     $($name: symbol(library, stringify!($symbol))?,)*
                     simulated: symbol::<*const ()>(library, "sofiscope_madlib_bench").is_ok(),
@@ -88,7 +88,7 @@ functions! {
 }
 
 #[expect(unsafe_code, reason = "a function is taken from a library by its name")]
-fn symbol<F: Copy>(library: &'static Library, name: &'static str) -> Result<F, LoadError> {
+fn symbol<F: Copy>(library: &Library, name: &'static str) -> Result<F, LoadError> {
     // SAFETY: `F` is the type of the function of that name in Madlib.h; the library is never unloaded.
     let found = unsafe { library.get::<F>(name) };
     found.map(|symbol| *symbol).map_err(|error| LoadError::Symbol { symbol: name, why: error.to_string() })
@@ -105,7 +105,7 @@ pub(crate) fn load(path: &Path) -> Result<&'static Functions, LoadError> {
     open_cpp_library();
     // SAFETY: the person names the vendor's library; its initialization has no demands on the caller.
     let library = unsafe { Library::new(path) }.map_err(|error| LoadError::Library(error.to_string()))?;
-    let functions: &'static Functions = Box::leak(Box::new(Functions::of(Box::leak(Box::new(library)))?));
+    let functions: &'static Functions = Box::leak(Box::new(Functions::of(&ManuallyDrop::new(library))?));
     loaded.push((path.to_owned(), functions));
     Ok(functions)
 }
