@@ -105,6 +105,9 @@ const ROOMS: [Room; 13] = [
 /// What the packages of `drivers/` may know of this workspace: contracts, never the program.
 const DRIVERS: [(&str, &[&str]); 18] = [
     ("dcam", &["sofiscope_hal"]),
+const DRIVERS: [(&str, &[&str]); 17] = [
+    // Drivers of vendor libraries are tested against a library of ours, which they open as they open the vendor's.
+    ("dcam", &["sofiscope_dcam_stand_in", "sofiscope_hal", "sofiscope_virtual"]),
     ("dcam-stand-in", &["sofiscope_hal", "sofiscope_sim", "sofiscope_virtual"]),
     ("focus-sensor", &["sofiscope_hal", "sofiscope_virtual"]),
     ("form", &[]),
@@ -114,7 +117,7 @@ const DRIVERS: [(&str, &[&str]); 18] = [
     ("genicam", &["sofiscope_hal"]),
     ("hal", &[]),
     ("laserquantum-smd12", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
-    ("madlib", &["sofiscope_hal"]),
+    ("madlib", &["sofiscope_hal", "sofiscope_madlib_stand_in", "sofiscope_virtual"]),
     ("madlib-stand-in", &["sofiscope_virtual"]),
     ("maerzhaeuser-tango", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
     ("micromanager-arduino", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
@@ -127,6 +130,7 @@ const DRIVERS: [(&str, &[&str]); 18] = [
 
 /// Files that may hold `unsafe` code, each with its reason.
 const UNSAFE: [(&str, &str); 3] = [
+const UNSAFE: [(&str, &str); 8] = [
     (
         "src/sofi/cumulant/prefetch.rs",
         "the prefetch instruction has no safe form; it can neither fault nor change a value",
@@ -139,6 +143,12 @@ const UNSAFE: [(&str, &str); 3] = [
         "drivers/virtual/src/table/cells.rs",
         "memory that several processes share has no safe form; all access is atomic",
     ),
+    ("drivers/dcam/src/ffi/mod.rs", "calls of DCAM-API, a library of the maker opened at run time"),
+    ("drivers/dcam-stand-in/src/exports.rs", "C functions that take pointers, as DCAM-API has them"),
+    ("drivers/dcam-stand-in/src/remote.rs", "calls the library of the same package as its users do"),
+    ("drivers/madlib/src/ffi.rs", "calls of Madlib, a library of the maker opened at run time"),
+    ("drivers/madlib-stand-in/src/exports.rs", "C functions that take pointers, as Madlib has them"),
+    ("drivers/madlib-stand-in/src/remote.rs", "calls the library of the same package as its users do"),
 ];
 
 #[cfg(test)]

@@ -255,7 +255,8 @@ impl Bench {
             }
             Command::Serials(serials) => self.serials = serials,
             Command::Table(path) => {
-                let table = OpticalTable::join(Path::new(&path)).map_err(|error| format!("{path}: {error}"))?;
+                let table =
+                    OpticalTable::join(Path::new(&path)).map_err(|error| format!("{path}: {error}"))?;
                 let seen = table.get(Quantity::Pulses);
                 self.table = Some((table, seen));
             }

@@ -145,7 +145,8 @@ impl Camera {
             }
             let place = self.written as usize % self.slots.len();
             let slot = &mut self.slots[place];
-            (slot.exposure, slot.stamp, slot.done_at, slot.drawn) = (shot.exposure, stamp, shot.done_at, None);
+            (slot.exposure, slot.stamp, slot.done_at, slot.drawn) =
+                (shot.exposure, stamp, shot.done_at, None);
             self.written = self.written.wrapping_add(1);
             faults.unplugged |= faults.unplug_after.is_some_and(|frames| self.written >= frames);
         }

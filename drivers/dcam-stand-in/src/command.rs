@@ -21,7 +21,7 @@
 use std::time::Duration;
 
 /// What happens to one camera.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Fault {
     Lose(u32),
     Miss(u64),

@@ -5,106 +5,16 @@
 
 #![expect(unsafe_code, reason = "functions of a C library take pointers and have fixed names")]
 
-use std::ffi::{CStr, c_char, c_void};
+use std::ffi::{CStr, c_char};
 use std::sync::{Condvar, LazyLock, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::bench::Bench;
 use crate::codes::Code;
+use crate::layout::{
+    Attribute, DeviceOpen, DeviceString, Frame, Init, TransferInfo, ValueText, WaitOpen, WaitStart,
+};
 use crate::spec::{Access, Kind, LINE_FAST_S, PROPERTIES, Spec, find};
-
-#[repr(C)]
-struct Init {
-    size: i32,
-    device_count: i32,
-    rest: [i32; 6],
-}
-
-#[repr(C)]
-struct DeviceOpen {
-    size: i32,
-    index: i32,
-    handle: usize,
-}
-
-#[repr(C)]
-struct DeviceString {
-    size: i32,
-    which: i32,
-    text: *mut c_char,
-    text_bytes: i32,
-}
-
-#[repr(C)]
-struct Attribute {
-    size: i32,
-    property: i32,
-    option: i32,
-    reserved: i32,
-    flags: u32,
-    group: i32,
-    unit: i32,
-    flags_2: i32,
-    least: f64,
-    greatest: f64,
-    step: f64,
-    default: f64,
-    counts: [i32; 4],
-    array_base: i32,
-    array_step: i32,
-}
-
-#[repr(C)]
-struct ValueText {
-    size: i32,
-    property: i32,
-    value: f64,
-    text: *mut c_char,
-    text_bytes: i32,
-}
-
-#[repr(C)]
-struct Frame {
-    size: i32,
-    kind: i32,
-    option: i32,
-    slot: i32,
-    pixels: *const c_void,
-    row_bytes: i32,
-    pixel_type: i32,
-    width: i32,
-    height: i32,
-    left: i32,
-    top: i32,
-    seconds: u32,
-    microseconds: i32,
-    frame_stamp: i32,
-    camera_stamp: i32,
-}
-
-#[repr(C)]
-struct WaitOpen {
-    size: i32,
-    supported: i32,
-    wait: usize,
-    handle: usize,
-}
-
-#[repr(C)]
-struct WaitStart {
-    size: i32,
-    happened: i32,
-    mask: i32,
-    timeout_ms: i32,
-}
-
-#[repr(C)]
-struct TransferInfo {
-    size: i32,
-    kind: i32,
-    newest_slot: i32,
-    frame_count: i32,
-}
 
 /// A structure that begins with its own size.
 ///
@@ -194,8 +104,8 @@ macro_rules! export {
             /// Pointers are null or point to what dcamapi4.h says, used by nobody else during the call.
             #[unsafe(no_mangle)]
             unsafe extern "C" fn $name($($argument: $type),*) -> i32 {
-                #[expect(clippy::redundant_closure_call, reason = "so that `?` ends the function")]
-                answer((|| -> Result<(), Code> { $body })())
+                fn body($($argument: $type),*) -> Result<(), Code> { $body }
+                answer(body($($argument),*))
             }
         )*
     };
@@ -430,17 +340,12 @@ export! {
 /// # Safety
 /// `command` ends with 0; `text` is null or has room for `bytes` bytes.
 #[unsafe(no_mangle)]
-unsafe extern "C" fn sofiscope_dcam_bench(
-    command: *const c_char,
-    text: *mut c_char,
-    bytes: i32,
-) -> i32 {
+unsafe extern "C" fn sofiscope_dcam_bench(command: *const c_char, text: *mut c_char, bytes: i32) -> i32 {
     // SAFETY: the caller promises a text that ends.
     let command = unsafe { CStr::from_ptr(command) }.to_string_lossy().into_owned();
     let mut bench = bench();
-    let told = crate::command::parse(&command).and_then(|commands| {
-        commands.into_iter().try_fold(String::new(), |_, command| bench.obey(command))
-    });
+    let told = crate::command::parse(&command)
+        .and_then(|commands| commands.into_iter().try_fold(String::new(), |_, command| bench.obey(command)));
     drop(bench);
     CHANGED.notify_all();
     let (words, done) = match told {

@@ -25,6 +25,7 @@ mod capture;
 mod codes;
 mod command;
 mod exports;
+mod layout;
 mod line;
 mod remote;
 mod settings;

@@ -4,6 +4,7 @@
 //! Fails: with the words of the bench, or when the library was not built.
 
 use std::ffi::{CString, c_char};
+use std::mem::ManuallyDrop;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -17,11 +18,8 @@ type Tell = unsafe extern "C" fn(*const c_char, *mut c_char, i32) -> i32;
 /// # Errors
 /// With the folders that were looked at.
 pub fn library() -> Result<PathBuf, String> {
-    let name = format!(
-        "{}sofiscope_dcam_stand_in{}",
-        std::env::consts::DLL_PREFIX,
-        std::env::consts::DLL_SUFFIX
-    );
+    let name =
+        format!("{}sofiscope_dcam_stand_in{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
     let program = std::env::current_exe().map_err(|error| error.to_string())?;
     let folder = program.parent().unwrap_or(Path::new("."));
     let folders = [folder.join("deps"), folder.to_owned(), folder.join("..").join("deps"), folder.join("..")];
@@ -44,7 +42,7 @@ impl Remote {
     pub fn open(path: &Path) -> Result<Self, String> {
         // SAFETY: the stand-in does nothing when it is opened; it stays open, as its threads may go on.
         let library = unsafe { Library::new(path) }.map_err(|error| error.to_string())?;
-        let library: &'static Library = Box::leak(Box::new(library));
+        let library = ManuallyDrop::new(library);
         // SAFETY: the type is the one of `sofiscope_dcam_bench` in `exports.rs`.
         let tell = unsafe { library.get::<Tell>("sofiscope_dcam_bench") };
         Ok(Self { tell: *tell.map_err(|error| error.to_string())? })

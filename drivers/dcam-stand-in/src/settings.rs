@@ -8,7 +8,8 @@ use std::collections::BTreeMap;
 use crate::capture::{Input, Timing};
 use crate::codes::{Code, id};
 use crate::spec::{
-    EDGE_BLANK_LINES, Kind, LINE_FAST_S, LINE_SLOW_S, SIDE, SYNCHRONOUS_BLANK_LINES, Spec, USB_BYTES_PER_S, find,
+    EDGE_BLANK_LINES, Kind, LINE_FAST_S, LINE_SLOW_S, SIDE, SYNCHRONOUS_BLANK_LINES, Spec, USB_BYTES_PER_S,
+    find,
 };
 
 /// Part of the sensor.
@@ -83,7 +84,8 @@ impl Settings {
 
     fn fits(&self) -> bool {
         let side = f64::from(SIDE);
-        self.kept(id::LEFT) + self.kept(id::WIDTH) <= side && self.kept(id::TOP) + self.kept(id::HEIGHT) <= side
+        self.kept(id::LEFT) + self.kept(id::WIDTH) <= side
+            && self.kept(id::TOP) + self.kept(id::HEIGHT) <= side
     }
 
     pub(crate) fn region(&self) -> Region {

@@ -41,7 +41,8 @@ impl View {
         let (width, height) = (self.world.scene().width_px(), self.world.scene().height_px());
         let frame = ExposureIndex(exposure % self.world.scene().frames());
         let seen = self.world.frame(channel, frame, &mut self.scratch).is_ok();
-        let (left, top) = ((SIDE as usize).saturating_sub(width) / 2, (SIDE as usize).saturating_sub(height) / 2);
+        let (left, top) =
+            ((SIDE as usize).saturating_sub(width) / 2, (SIDE as usize).saturating_sub(height) / 2);
         let columns = region.width as usize;
         for (row, counts) in counts.chunks_exact_mut(columns).enumerate() {
             let y = region.top as usize + row;

@@ -76,7 +76,8 @@ impl Capture {
         losses: Arc<LossCounts>,
     ) -> Result<Self, DeviceError> {
         let (library, camera) = (device.functions(), device.handle());
-        let wait = library.open_wait(camera).map_err(|failure| device.error("cannot be waited for", failure))?;
+        let wait =
+            library.open_wait(camera).map_err(|failure| device.error("cannot be waited for", failure))?;
         if let Err(failure) = library.allocate(camera, buffers) {
             let error = device.error(&format!("has no memory for {buffers} frames"), failure);
             note(&device, "close the wait", library.close_wait(wait));
@@ -85,9 +86,7 @@ impl Capture {
         let capture =
             Self { device, wait, stopping: false.into(), buffers: Mutex::new(Buffers::Held), losses };
         // From here on dropping it gives everything back.
-        capture
-            .library_start()
-            .map_err(|failure| capture.device.error("cannot start exposures", failure))?;
+        capture.library_start().map_err(|failure| capture.device.error("cannot start exposures", failure))?;
         Ok(capture)
     }
 
@@ -124,7 +123,11 @@ impl Capture {
         let mut buffers = self.buffers();
         if *buffers == Buffers::Held {
             *buffers = Buffers::Released;
-            note(&self.device, "give its buffers back", self.device.functions().release(self.device.handle()));
+            note(
+                &self.device,
+                "give its buffers back",
+                self.device.functions().release(self.device.handle()),
+            );
         }
     }
 

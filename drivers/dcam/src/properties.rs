@@ -56,7 +56,8 @@ impl DcamCamera {
         };
         match flags & flag::TYPE {
             flag::TYPE_MODE => {
-                let choices: Vec<String> = self.choices(id, attribute).into_iter().map(|(_, text)| text).collect();
+                let choices: Vec<String> =
+                    self.choices(id, attribute).into_iter().map(|(_, text)| text).collect();
                 let text = self.device.functions().value_text(self.device.handle(), id, value);
                 let text = text.unwrap_or_else(|_| value.to_string());
                 (PropertyValue::Text(text), PropertyRange::Choice(choices))

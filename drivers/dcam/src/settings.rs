@@ -87,7 +87,8 @@ impl DcamOptions {
         let frame_bytes = 2 * settings.region.num_pixels() as u64;
         let fit = MOST_BUFFER_BYTES / frame_bytes.max(1);
         let in_two_seconds = 2_000_000_000 / settings.period.as_nanos().max(1);
-        let wanted = u32::try_from(in_two_seconds).unwrap_or(MOST_BUFFERS).clamp(FEWEST_BUFFERS, MOST_BUFFERS);
+        let wanted =
+            u32::try_from(in_two_seconds).unwrap_or(MOST_BUFFERS).clamp(FEWEST_BUFFERS, MOST_BUFFERS);
         self.buffers.unwrap_or_else(|| wanted.min(u32::try_from(fit).unwrap_or(MOST_BUFFERS))).max(2)
     }
 }
@@ -224,8 +225,7 @@ fn timing(
     }
     let least = duration_above(device.value(Id::MIN_TRIGGER_INTERVAL)?);
     let period = done.period.max(least);
-    let exposure =
-        if options.pulse_input == PulseInput::SynchronousReadout { period } else { done.exposure };
+    let exposure = if options.pulse_input == PulseInput::SynchronousReadout { period } else { done.exposure };
     Ok(CameraSettings { period, exposure, ..done })
 }
 

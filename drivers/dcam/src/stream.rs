@@ -88,12 +88,7 @@ impl DcamStream {
         Ok(())
     }
 
-    fn info(
-        &mut self,
-        place: Place,
-        header: FrameHeader,
-        torn: bool,
-    ) -> Result<FrameInfo, DeviceError> {
+    fn info(&mut self, place: Place, header: FrameHeader, torn: bool) -> Result<FrameInfo, DeviceError> {
         self.count_losses(place, header, torn);
         let microseconds = u64::try_from(header.microseconds).unwrap_or(0);
         let device_time = DeviceTime(u64::from(header.seconds) * 1_000_000_000 + microseconds * 1000);

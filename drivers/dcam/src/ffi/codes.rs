@@ -12,22 +12,21 @@ macro_rules! failures {
     ($($name:ident = $code:literal, $kind:ident;)*) => {
         impl Failure {
             $(
-                #[allow(dead_code, reason = "the table is complete so that every answer has a name")]
                 pub(crate) const $name: Self = Self($code);
             )*
 
             /// The name in the headers of the maker.
             pub(crate) fn name(self) -> &'static str {
-                match self.0 {
-                    $($code => stringify!($name),)*
+                match self {
+                    $(Self::$name => stringify!($name),)*
                     _ => "an unknown code",
                 }
             }
 
             /// What the caller can do.
             pub(crate) fn kind(self) -> ErrorKind {
-                match self.0 {
-                    $($code => ErrorKind::$kind,)*
+                match self {
+                    $(Self::$name => ErrorKind::$kind,)*
                     _ => ErrorKind::Protocol,
                 }
             }

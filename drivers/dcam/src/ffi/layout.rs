@@ -20,13 +20,12 @@ macro_rules! layout {
             }
 
             const _: () = {
-                assert!(size_of::<$name>() == $bytes);
+                assert!(size_of::<$name>() == $name::BYTES as usize);
                 $(assert!(offset_of!($name, $field) == $at);)*
             };
 
             impl $name {
                 /// The size that the structure begins with.
-                #[allow(dead_code, reason = "a time stamp is a part of another structure and has no size field")]
                 pub(super) const BYTES: i32 = $bytes;
             }
         )*

@@ -9,6 +9,7 @@ pub(crate) mod ids;
 mod layout;
 
 use std::ffi::{CStr, c_char};
+use std::mem::ManuallyDrop;
 use std::path::{Path, PathBuf};
 use std::ptr;
 use std::sync::{Mutex, PoisonError};
@@ -73,7 +74,7 @@ macro_rules! functions {
         }
 
         impl Functions {
-            fn of(library: &'static Library) -> Result<Self, LoadError> {
+            fn of(library: &Library) -> Result<Self, LoadError> {
                 Ok(Self { $($name: symbol(library, stringify!($name))?,)* })
             }
         }
@@ -111,7 +112,7 @@ functions! {
 }
 
 #[expect(unsafe_code, reason = "a function is taken from a library by its name")]
-fn symbol<F: Copy>(library: &'static Library, name: &'static str) -> Result<F, LoadError> {
+fn symbol<F: Copy>(library: &Library, name: &'static str) -> Result<F, LoadError> {
     // SAFETY: `F` is the type of the function of that name in dcamapi4.h; the library is never unloaded, so the
     // pointer stays valid.
     let found = unsafe { library.get::<F>(name) };
@@ -130,7 +131,7 @@ pub(crate) fn load(path: &Path) -> Result<&'static Functions, LoadError> {
     }
     // SAFETY: the person names the vendor's library; its initialization has no demands on the caller.
     let library = unsafe { Library::new(path) }.map_err(|error| LoadError::Library(error.to_string()))?;
-    let functions: &'static Functions = Box::leak(Box::new(Functions::of(Box::leak(Box::new(library)))?));
+    let functions: &'static Functions = Box::leak(Box::new(Functions::of(&ManuallyDrop::new(library))?));
     loaded.push((path.to_owned(), functions));
     Ok(functions)
 }
@@ -367,8 +368,12 @@ impl Functions {
     }
 
     pub(crate) fn newest(&self, camera: Hdcam) -> Result<Newest, Failure> {
-        let mut info =
-            layout::TransferInfo { size: layout::TransferInfo::BYTES, kind: 0, newest_slot: -1, frame_count: 0 };
+        let mut info = layout::TransferInfo {
+            size: layout::TransferInfo::BYTES,
+            kind: 0,
+            newest_slot: -1,
+            frame_count: 0,
+        };
         // SAFETY: the structure has its size and lives through the call.
         checked(unsafe { (self.dcamcap_transferinfo)(camera, &raw mut info) })?;
         Ok(Newest { slot: info.newest_slot, count: info.frame_count.cast_unsigned() })
@@ -393,8 +398,7 @@ impl Functions {
 
     /// Waits for events; gives those that happened.
     pub(crate) fn wait(&self, wait: Hdcamwait, mask: i32, timeout_ms: i32) -> Result<i32, Failure> {
-        let mut start =
-            layout::WaitStart { size: layout::WaitStart::BYTES, happened: 0, mask, timeout_ms };
+        let mut start = layout::WaitStart { size: layout::WaitStart::BYTES, happened: 0, mask, timeout_ms };
         // SAFETY: the structure has its size and lives through the call.
         checked(unsafe { (self.dcamwait_start)(wait, &raw mut start) })?;
         Ok(start.happened)

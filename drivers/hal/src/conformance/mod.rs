@@ -1,6 +1,7 @@
 //! What every camera driver must pass, whatever stands behind it; lasers have [a suite of their own](laser()).
+//! What every driver of a camera or a focus drive must pass, whatever stands behind it.
 //!
-//! In: a [`CameraRig`], which has a camera and knows how to let it expose. Out: nothing.
+//! In: a [`CameraRig`], which has a camera and knows how to let it expose; a [`FocusDriveRig`]. Out: nothing.
 //! Never: sleeps, reads a clock, knows which device it tests; it waits only in `next_frame`.
 //! Fails: panics with what was expected and what was found.
 //!
@@ -13,6 +14,7 @@
 //! }
 //! ```
 
+mod focus_drive;
 mod frames;
 mod stage;
 mod laser;
@@ -28,6 +30,8 @@ pub use laser::{LaserRig, laser};
 pub use gates::{GateRig, gates};
 
 use std::time::Duration;
+
+pub use focus_drive::{FocusDriveRig, focus_drive};
 
 use crate::{
     Camera, CameraSettings, DeviceError, ErrorKind, FrameInfo, FrameStatus, FrameStream, TriggerSource,
