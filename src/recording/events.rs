@@ -4,7 +4,8 @@
 //! Never: keeps a line back. Fails: [`RecordingError`]; the line is then not there.
 
 use super::RecordingError;
-use super::direct::{Gate, Operation};
+use super::gate::{Change, Gate, Operation};
+use super::sync::SyncFile;
 use rustix::fs::{FallocateFlags, fallocate};
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
@@ -92,6 +93,7 @@ impl EventLog {
             .pass(Operation::Write, &path)
             .and_then(|()| OpenOptions::new().write(true).create_new(true).open(&path))
             .map_err(|source| RecordingError::storage(&path, "create", source))?;
+        gate.note(Change::Created, &path);
         // A disk that cannot reserve still writes.
         let _ = fallocate(&file, FallocateFlags::KEEP_SIZE, 0, RESERVE);
         Ok(Self { file, path, gate, end: 0 })
@@ -119,8 +121,14 @@ impl EventLog {
             .pass(Operation::Write, &self.path)
             .and_then(|()| self.file.write_all_at(&line, self.end))
             .map_err(failed)?;
+        self.gate.note(Change::Bytes(self.end, &line), &self.path);
         self.end += line.len() as u64;
         Ok(())
+    }
+
+    /// For syncing while events are written.
+    pub(super) fn sync_file(&self) -> Result<SyncFile, RecordingError> {
+        super::writer::sync_file(&self.path)
     }
 
     /// Gives back what was reserved and makes the log durable.
@@ -129,12 +137,30 @@ impl EventLog {
             .set_len(self.end)
             .and_then(|()| self.gate.pass(Operation::Sync, &self.path))
             .and_then(|()| self.file.sync_all())
-            .map_err(|source| RecordingError::storage(&self.path, "sync", source))
+            .map_err(|source| RecordingError::storage(&self.path, "sync", source))?;
+        self.gate.note(Change::Length(self.end), &self.path);
+        self.gate.note(Change::Synced, &self.path);
+        Ok(())
     }
 }
 
 /// All whole lines, and the bytes that they take.
 pub(super) fn read(directory: &Path) -> Result<(Vec<Event>, u64), RecordingError> {
+    let (events, end, fault) = read_lines(directory)?;
+    fault.map_or(Ok((events, end)), |(error, _)| Err(error))
+}
+
+/// As [`read`], without a last line that a crash left half written.
+pub(super) fn read_torn(directory: &Path) -> Result<(Vec<Event>, u64), RecordingError> {
+    match read_lines(directory)? {
+        (_, _, Some((error, false))) => Err(error),
+        (events, end, _) => Ok((events, end)),
+    }
+}
+
+/// Lines up to the first that is no event, the bytes that they take, and the fault there with whether it is the last.
+#[expect(clippy::type_complexity, reason = "taken apart at once by the two functions above")]
+fn read_lines(directory: &Path) -> Result<(Vec<Event>, u64, Option<(RecordingError, bool)>), RecordingError> {
     let path = directory.join(EVENTS);
     let text = super::metadata::read_text(&path, MAX_EVENTS_BYTES)?;
     let mut events = Vec::new();
@@ -143,11 +169,16 @@ pub(super) fn read(directory: &Path) -> Result<(Vec<Event>, u64), RecordingError
         if !line.ends_with('\n') {
             break;
         }
-        let event = serde_json::from_str(line).map_err(|error| {
-            RecordingError::damaged(&path, format!("line {}", events.len() + 1), error.to_string())
-        })?;
-        events.push(event);
-        end += line.len() as u64;
+        match serde_json::from_str(line) {
+            Ok(event) => events.push(event),
+            Err(error) => {
+                let field = format!("line {}", events.len() + 1);
+                let error = RecordingError::damaged(&path, field, error.to_string());
+                let is_last = end + line.len() == text.len();
+                return Ok((events, end as u64, Some((error, is_last))));
+            }
+        }
+        end += line.len();
     }
-    Ok((events, end))
+    Ok((events, end as u64, None))
 }

@@ -5,7 +5,8 @@
 //! Fails: [`RecordingError`]; what was not written is kept and tried again with the next rows, up to a bound.
 
 use super::RecordingError;
-use super::direct::{Gate, Operation};
+use super::gate::{Change, Gate, Operation};
+use super::sync::SyncFile;
 use crate::acquisition::LedgerRow;
 use rustix::fs::{FallocateFlags, fallocate};
 use std::fs::{File, OpenOptions};
@@ -37,6 +38,7 @@ impl LedgerFile {
             .pass(Operation::Write, &path)
             .and_then(|()| OpenOptions::new().write(true).create_new(true).open(&path))
             .map_err(|source| RecordingError::storage(&path, "create", source))?;
+        gate.note(Change::Created, &path);
         let waiting = LedgerRow::header() + "\n";
         let mut ledger = Self { file, path, gate, end: 0, reserved: 0, waiting };
         ledger.write(&[])?;
@@ -63,6 +65,7 @@ impl LedgerFile {
                 self.reserved = self.end;
                 RecordingError::storage(&self.path, "write", source)
             })?;
+        self.gate.note(Change::Bytes(self.end, self.waiting.as_bytes()), &self.path);
         self.end += self.waiting.len() as u64;
         self.waiting.clear();
         Ok(())
@@ -79,12 +82,20 @@ impl LedgerFile {
         }
     }
 
+    /// For syncing while the ledger is written.
+    pub(super) fn sync_file(&self) -> Result<SyncFile, RecordingError> {
+        super::writer::sync_file(&self.path)
+    }
+
     /// Gives back what was reserved and makes the ledger durable.
     pub(super) fn close(self) -> Result<(), RecordingError> {
         self.file
             .set_len(self.end)
             .and_then(|()| self.gate.pass(Operation::Sync, &self.path))
             .and_then(|()| self.file.sync_all())
-            .map_err(|source| RecordingError::storage(&self.path, "sync", source))
+            .map_err(|source| RecordingError::storage(&self.path, "sync", source))?;
+        self.gate.note(Change::Length(self.end), &self.path);
+        self.gate.note(Change::Synced, &self.path);
+        Ok(())
     }
 }

@@ -12,8 +12,9 @@
 //! Never: links to a group before it is completely written. Fails: [`RecordingError`]; the chain is then as before.
 
 use super::RecordingError;
-use super::direct::{Aligned, DirectFile, Gate, PAGE};
+use super::direct::{Aligned, DirectFile, PAGE};
 use super::facts::{FACTS_BYTES, FactsBytes};
+use super::gate::Gate;
 use super::metadata::{CameraDescription, stride};
 use super::writer::{Bounce, Staged, write_frames};
 use std::path::Path;
@@ -77,7 +78,8 @@ impl TiffFile {
         bytes[UNFINISHED_AT..UNFINISHED_AT + UNFINISHED.len()].copy_from_slice(UNFINISHED);
         let mut file = DirectFile::create(path, gate)?;
         file.write(&[block.bytes()], 0)?;
-        let page_bytes = stride(camera).saturating_add((PAGE / IFDS_PER_BLOCK + 1) as u64);
+        // A group of one frame has a block of directories for itself.
+        let page_bytes = stride(camera).saturating_add(PAGE as u64);
         Ok(Self {
             file,
             camera: camera.clone(),

@@ -4,8 +4,9 @@
 //! Never: decides what a failure means. Fails: [`RecordingError`]; what was published stays.
 
 use super::RecordingError;
-use super::direct::{Aligned, DirectFile, Gate, PAGE};
+use super::direct::{Aligned, DirectFile, PAGE};
 use super::facts::FactsBytes;
+use super::gate::Gate;
 use super::metadata::{Format, Metadata};
 use super::sync::SyncFile;
 use super::tiff::TiffFile;

@@ -187,8 +187,9 @@ fn mutate(bytes: &[u8], dice: &mut Dice) -> Vec<u8> {
     bytes
 }
 
-fn run(mutations: u64) {
-    for (name, corpus) in corpora() {
+/// Damages the files of every reader whose name contains `wanted`.
+fn run(mutations: u64, wanted: &str) {
+    for (name, corpus) in corpora().into_iter().filter(|(name, _)| name.contains(wanted)) {
         bounded(&corpus, name).unwrap();
         let whole: Vec<Vec<u8>> = corpus.files.iter().map(|file| fs::read(file).unwrap()).collect();
         let mut refused = 0;
@@ -207,14 +208,15 @@ fn run(mutations: u64) {
 
 #[test]
 fn damaged_files_end_in_a_sentence() {
-    run(MUTATIONS);
+    run(MUTATIONS, "");
 }
 
 #[test]
-#[ignore = "minutes: 10^5 damaged inputs per reader, or as many as REPLAY_MUTATIONS says"]
+#[ignore = "minutes: 10^5 damaged inputs per reader, or as many as REPLAY_MUTATIONS says; REPLAY_READER names one"]
 fn very_many_damaged_files_end_in_a_sentence() {
     let wanted = std::env::var("REPLAY_MUTATIONS").ok();
-    run(wanted.map_or(100_000, |number| number.parse().expect("REPLAY_MUTATIONS is a number")));
+    let reader = std::env::var("REPLAY_READER").unwrap_or_default();
+    run(wanted.map_or(100_000, |number| number.parse().expect("REPLAY_MUTATIONS is a number")), &reader);
 }
 
 /// Every frame of both cameras.
