@@ -144,41 +144,45 @@ impl EventLog {
     }
 }
 
+/// The lines of a log up to the first that is no event.
+struct Lines {
+    events: Vec<Event>,
+    /// Bytes that they take.
+    end: usize,
+    /// The line behind them, if it is whole and no event, and whether it is the last.
+    fault: Option<(RecordingError, bool)>,
+}
+
 /// All whole lines, and the bytes that they take.
 pub(super) fn read(directory: &Path) -> Result<(Vec<Event>, u64), RecordingError> {
-    let (events, end, fault) = read_lines(directory)?;
-    fault.map_or(Ok((events, end)), |(error, _)| Err(error))
+    let lines = read_lines(directory)?;
+    lines.fault.map_or(Ok((lines.events, lines.end as u64)), |(error, _)| Err(error))
 }
 
 /// As [`read`], without a last line that a crash left half written.
 pub(super) fn read_torn(directory: &Path) -> Result<(Vec<Event>, u64), RecordingError> {
-    match read_lines(directory)? {
-        (_, _, Some((error, false))) => Err(error),
-        (events, end, _) => Ok((events, end)),
+    let lines = read_lines(directory)?;
+    match lines.fault {
+        Some((error, false)) => Err(error),
+        _ => Ok((lines.events, lines.end as u64)),
     }
 }
 
-/// Lines up to the first that is no event, the bytes that they take, and the fault there with whether it is the last.
-#[expect(clippy::type_complexity, reason = "taken apart at once by the two functions above")]
-fn read_lines(directory: &Path) -> Result<(Vec<Event>, u64, Option<(RecordingError, bool)>), RecordingError> {
+fn read_lines(directory: &Path) -> Result<Lines, RecordingError> {
     let path = directory.join(EVENTS);
     let text = super::metadata::read_text(&path, MAX_EVENTS_BYTES)?;
-    let mut events = Vec::new();
-    let mut end = 0;
-    for line in text.split_inclusive('\n') {
-        if !line.ends_with('\n') {
-            break;
-        }
+    let mut lines = Lines { events: Vec::new(), end: 0, fault: None };
+    for line in text.split_inclusive('\n').filter(|line| line.ends_with('\n')) {
         match serde_json::from_str(line) {
-            Ok(event) => events.push(event),
+            Ok(event) => lines.events.push(event),
             Err(error) => {
-                let field = format!("line {}", events.len() + 1);
-                let error = RecordingError::damaged(&path, field, error.to_string());
-                let is_last = end + line.len() == text.len();
-                return Ok((events, end as u64, Some((error, is_last))));
+                let field = format!("line {}", lines.events.len() + 1);
+                let is_last = lines.end + line.len() == text.len();
+                lines.fault = Some((RecordingError::damaged(&path, field, error.to_string()), is_last));
+                break;
             }
         }
-        end += line.len();
+        lines.end += line.len();
     }
-    Ok((events, end as u64, None))
+    Ok(lines)
 }

@@ -262,7 +262,7 @@ fn a_disk_that_hangs_at_the_end_keeps_nobody_waiting() {
     for format in [Format::OmeTiff, Format::OmeZarr] {
         let folder = folder();
         let directory = folder.path().join("run");
-        let (release, held) = std::sync::mpsc::channel::<()>();
+        let (release, held) = std::sync::mpsc::sync_channel::<()>(0);
         let held = std::sync::Mutex::new(held);
         let hangs = Arc::new(std::sync::atomic::AtomicBool::new(false));
         let is_hanging = Arc::clone(&hangs);

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! In: every exposure once, in order. Out: a directory that opens in stock readers at any moment, and its reader.
-//! Never: promises a frame that is not there, overwrites anything, starts a thread but the one that syncs, for the time of one group one for the second camera, and one for the end.
+//! Never: promises a frame that is not there, overwrites anything, starts a thread but the one that syncs, for the time of one group one per camera, and one for the end.
 //! Fails: [`RecordingError`] with path, free bytes and remedy; what was committed stays readable,
 //! and what could not be written is in the ledger as lost.
 //!

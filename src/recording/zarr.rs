@@ -11,11 +11,11 @@
 
 use super::RecordingError;
 use super::direct::{Aligned, DirectFile, PAGE};
-use super::facts::FACTS_BYTES;
+use super::facts::{FACTS_BYTES, FactsBytes};
 use super::gate::{Change, Gate, Operation};
 use super::metadata::{CameraDescription, stride};
 use super::sync::SyncFile;
-use super::writer::{Bounce, Staged, sync_file, write_frames};
+use super::writer::{Bounce, sync_file, write_frames};
 use serde_json::{Value, json};
 use std::fs;
 use std::io::Write;
@@ -100,8 +100,8 @@ impl ZarrArray {
         })
     }
 
-    /// Writes a group; readers do not see it yet.
-    pub(super) fn stage(&mut self, group: &[Staged<'_>]) -> Result<(), RecordingError> {
+    /// Writes the pixels of a group; readers do not see it yet.
+    pub(super) fn stage(&mut self, group: &[&[u8]]) -> Result<(), RecordingError> {
         let mut page = self.pages;
         let mut left = group;
         while !left.is_empty() {
@@ -115,30 +115,19 @@ impl ZarrArray {
         Ok(())
     }
 
-    fn stage_in_shard(&mut self, page: u64, group: &[Staged<'_>]) -> Result<(), RecordingError> {
+    fn stage_in_shard(&mut self, page: u64, group: &[&[u8]]) -> Result<(), RecordingError> {
         let number = page / SHARD_FRAMES;
         if self.shards.last().is_none_or(|shard| shard.number != number) {
             self.create_directories(number)?;
             self.shards.push(Shard::create(&self.directory, number, self.gate.clone())?);
         }
-        let frame_bytes = self.camera.frame_bytes() as u64;
         let stride = stride(&self.camera);
         let Some(shard) = self.shards.last_mut() else { return Ok(()) };
         let slot = page % SHARD_FRAMES;
         let offset = PAGE as u64 + slot * stride;
         let whole = PAGE as u64 + SHARD_FRAMES * stride;
         shard.file.reserve(offset + group.len() as u64 * stride, whole);
-        let frames: Vec<&[u8]> = group.iter().map(|staged| staged.pixels).collect();
-        write_frames(&mut shard.file, &[], &frames, offset, &mut self.bounce)?;
-        for (index, staged) in group.iter().enumerate() {
-            let slot = slot as usize + index;
-            let at = PAGE as u64 + slot as u64 * stride;
-            let bytes = shard.first_page.bytes_mut();
-            bytes[16 * slot..16 * slot + 8].copy_from_slice(&at.to_le_bytes());
-            bytes[16 * slot + 8..16 * slot + 16].copy_from_slice(&frame_bytes.to_le_bytes());
-            bytes[FACTS_AT + slot * FACTS_BYTES..][..FACTS_BYTES].copy_from_slice(staged.facts);
-        }
-        Ok(())
+        write_frames(&mut shard.file, group, offset, &mut self.bounce)
     }
 
     /// Creates the directories of a shard, which become durable with it.
@@ -160,10 +149,15 @@ impl ZarrArray {
         Ok(())
     }
 
-    /// Writes the indices, then the shape.
-    pub(super) fn publish(&mut self) -> Result<(), RecordingError> {
+    /// Writes the indices with the facts of each staged frame, then the shape.
+    pub(super) fn publish(&mut self, facts: &[FactsBytes]) -> Result<(), RecordingError> {
         if self.staged == self.pages {
             return Ok(());
+        }
+        for (page, facts) in (self.pages..self.staged).zip(facts) {
+            if let Some(shard) = self.shards.iter_mut().find(|shard| shard.number == page / SHARD_FRAMES) {
+                shard.enter((page % SHARD_FRAMES) as usize, &self.camera, facts);
+            }
         }
         for shard in &mut self.shards {
             let bytes = shard.first_page.bytes_mut();
@@ -257,6 +251,15 @@ impl Shard {
         let mut first_page = Aligned::zeroed(PAGE);
         first_page.bytes_mut()[..INDEX_BYTES].fill(u8::MAX);
         Ok(Self { number, file, sync: sync_file(&path)?, first_page, is_published: false })
+    }
+
+    /// Enters a frame that is written into index and facts.
+    fn enter(&mut self, slot: usize, camera: &CameraDescription, facts: &FactsBytes) {
+        let at = PAGE as u64 + slot as u64 * stride(camera);
+        let bytes = self.first_page.bytes_mut();
+        bytes[16 * slot..16 * slot + 8].copy_from_slice(&at.to_le_bytes());
+        bytes[16 * slot + 8..16 * slot + 16].copy_from_slice(&(camera.frame_bytes() as u64).to_le_bytes());
+        bytes[FACTS_AT + slot * FACTS_BYTES..][..FACTS_BYTES].copy_from_slice(facts);
     }
 }
 
