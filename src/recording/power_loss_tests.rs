@@ -160,11 +160,11 @@ fn write(
 
 /// Frames of R and T that the recorder has declared durable.
 fn declared(log: &[(PathBuf, Entry)]) -> [u64; 2] {
-    let lines = log.iter().filter_map(|(path, entry)| match entry {
+    let mut lines = log.iter().filter_map(|(path, entry)| match entry {
         Entry::Bytes(_, bytes) if path.ends_with("recording.lock") => std::str::from_utf8(bytes).ok(),
         _ => None,
     });
-    let numbers = lines.last().map(|line| {
+    let numbers = lines.next_back().map(|line| {
         let mut words = line.split_whitespace().skip(1).map(|word| word.parse().unwrap());
         [words.next().unwrap(), words.next().unwrap()]
     });
