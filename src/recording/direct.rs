@@ -1,55 +1,27 @@
-//! Files written past the page cache: whole pages of memory at offsets that are whole pages.
+//! Files written past the page cache, or through it where little is to be written: whole pages at offsets that are
+//! whole pages.
 //!
 //! In: slices of page-aligned memory, or any bytes through a small aligned copy. Out: bytes at their place.
 //! Never: keeps data back; a write has reached the file when it returns. Fails: as the system says, path and verb added.
-//! Where the file system refuses direct writing, the same calls go through the page cache.
+//! Little comes into the page cache, which a killed program does not take with it and where no disk is waited for;
+//! much would cost a copy of everything there. Where the file system refuses direct writing, all goes through it.
 
 use super::RecordingError;
+use super::gate::{Change, Gate, Operation};
 use rustix::fs::{FallocateFlags, OFlags, fallocate, fcntl_getfl, fcntl_setfl};
 use rustix::io::{Errno, pwritev};
 use std::fs::{File, OpenOptions};
 use std::io::{self, IoSlice};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 /// Offsets, lengths and addresses are multiples of this.
 pub(super) const PAGE: usize = crate::acquisition::PAGE_BYTES;
+/// Less than this goes through the page cache.
+const SMALL_BYTES: usize = 512 << 10;
 /// Slices handed to the system at once, below its limit of 1024.
 const MAX_SLICES: usize = 512;
 /// Room is reserved ahead in steps of at most this.
 const RESERVE_STEP: u64 = 256 << 20;
-
-/// What is about to be done to a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Operation {
-    /// Writing bytes, creating or renaming a file.
-    Write,
-    /// Making it durable.
-    Sync,
-}
-
-type Check = dyn Fn(Operation, &Path) -> io::Result<()> + Send + Sync;
-
-/// The one place that every change of a file passes; tests make it fail.
-#[derive(Clone, Default)]
-pub(super) struct Gate(Option<Arc<Check>>);
-
-impl Gate {
-    #[cfg(test)]
-    pub(super) fn new(check: impl Fn(Operation, &Path) -> io::Result<()> + Send + Sync + 'static) -> Self {
-        Self(Some(Arc::new(check)))
-    }
-
-    pub(super) fn pass(&self, operation: Operation, path: &Path) -> io::Result<()> {
-        self.0.as_ref().map_or(Ok(()), |check| check(operation, path))
-    }
-}
-
-impl std::fmt::Debug for Gate {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str("Gate")
-    }
-}
 
 /// Bytes that begin on a page.
 #[derive(Debug)]
@@ -79,6 +51,8 @@ impl Aligned {
 #[derive(Debug)]
 pub(super) struct DirectFile {
     file: File,
+    /// The same file through the page cache.
+    cached: File,
     path: PathBuf,
     gate: Gate,
     is_direct: bool,
@@ -93,8 +67,14 @@ impl DirectFile {
             .pass(Operation::Write, path)
             .and_then(|()| OpenOptions::new().read(true).write(true).create_new(true).open(path))
             .map_err(|source| RecordingError::storage(path, "create", source))?;
+        let cached = OpenOptions::new()
+            .write(true)
+            .open(path)
+            .map_err(|source| RecordingError::storage(path, "open", source))?;
+        gate.note(Change::Created, path);
         let is_direct = set_direct(&file, true).is_ok();
-        Ok(Self { file, path: path.to_path_buf(), gate, is_direct, can_reserve: true, reserved: 0 })
+        let path = path.to_path_buf();
+        Ok(Self { file, cached, path, gate, is_direct, can_reserve: true, reserved: 0 })
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -128,18 +108,26 @@ impl DirectFile {
         self.gate
             .pass(Operation::Write, &self.path)
             .and_then(|()| self.write_all(slices, offset))
-            .map_err(|source| RecordingError::storage(&self.path, "write", source))
+            .map_err(|source| RecordingError::storage(&self.path, "write", source))?;
+        let mut at = offset;
+        for slice in slices {
+            self.gate.note(Change::Bytes(at, slice), &self.path);
+            at += slice.len() as u64;
+        }
+        Ok(())
     }
 
     fn write_all(&mut self, slices: &[&[u8]], offset: u64) -> io::Result<()> {
         let total: usize = slices.iter().map(|slice| slice.len()).sum();
+        let is_direct = self.is_direct && total >= SMALL_BYTES;
         let mut done = 0;
         while done < total {
-            let written = match pwritev(&self.file, &slices_from(slices, done), offset + done as u64) {
+            let file = if is_direct { &self.file } else { &self.cached };
+            let written = match pwritev(file, &slices_from(slices, done), offset + done as u64) {
                 Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
                 Ok(written) => written,
                 Err(Errno::INTR) => continue,
-                Err(Errno::INVAL) if self.is_direct => {
+                Err(Errno::INVAL) if is_direct && self.is_direct => {
                     self.leave_direct()?;
                     continue;
                 }
@@ -147,7 +135,7 @@ impl DirectFile {
             };
             done += written;
             // Half a page is written once more with its other half.
-            if self.is_direct && done < total && !done.is_multiple_of(PAGE) {
+            if is_direct && self.is_direct && done < total && !done.is_multiple_of(PAGE) {
                 done = done / PAGE * PAGE;
                 if written < PAGE {
                     self.leave_direct()?;
@@ -168,7 +156,9 @@ impl DirectFile {
         self.gate
             .pass(Operation::Write, &self.path)
             .and_then(|()| self.file.set_len(end))
-            .map_err(|source| RecordingError::storage(&self.path, "truncate", source))
+            .map_err(|source| RecordingError::storage(&self.path, "truncate", source))?;
+        self.gate.note(Change::Length(end), &self.path);
+        Ok(())
     }
 }
 
@@ -199,5 +189,7 @@ fn slices_from<'a>(slices: &[&'a [u8]], mut done: usize) -> Vec<IoSlice<'a>> {
 pub(super) fn sync_directory(path: &Path, gate: &Gate) -> Result<(), RecordingError> {
     gate.pass(Operation::Sync, path)
         .and_then(|()| File::open(path)?.sync_all())
-        .map_err(|source| RecordingError::storage(path, "sync", source))
+        .map_err(|source| RecordingError::storage(path, "sync", source))?;
+    gate.note(Change::Synced, path);
+    Ok(())
 }

@@ -53,6 +53,28 @@ pub enum RecordingError {
         /// Bytes per second that the cameras deliver; 0 when nothing is being recorded.
         needed_bytes_per_second: u64,
     },
+    /// Directory or files are no longer where they were created.
+    #[error(
+        "{} is gone: it was deleted, renamed or unmounted during the recording. \
+         Frames go nowhere from then on; what was recorded is where the directory is now, if anywhere.",
+        .path.display()
+    )]
+    Gone {
+        /// The directory or file.
+        path: PathBuf,
+    },
+    /// The disk does not answer any more.
+    #[error(
+        "{} could not be closed within {seconds} s: the disk does not answer. \
+         What was committed is readable; run recover when the disk is back.",
+        .path.display()
+    )]
+    Hangs {
+        /// The directory.
+        path: PathBuf,
+        /// How long it was waited for.
+        seconds: f64,
+    },
     /// Another process has the recording open.
     #[error("{} is in use by process {pid}. Wait until it ends.", .path.display())]
     InUse {
@@ -105,7 +127,9 @@ impl RecordingError {
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Damaged { .. } | Self::BadCrc { .. } => ErrorKind::Data,
-            Self::Space { .. } | Self::Storage { .. } => ErrorKind::Storage,
+            Self::Space { .. } | Self::Storage { .. } | Self::Gone { .. } | Self::Hangs { .. } => {
+                ErrorKind::Storage
+            }
             _ => ErrorKind::Usage,
         }
     }

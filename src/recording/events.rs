@@ -6,6 +6,9 @@
 use super::RecordingError;
 use super::appended::Appended;
 use super::direct::Gate;
+use super::gate::{Change, Gate, Operation};
+use super::sync::SyncFile;
+use rustix::fs::{FallocateFlags, fallocate};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -83,6 +86,15 @@ impl EventLog {
         let file = Appended::create(directory.join(EVENTS), gate)?;
         file.reserve(RESERVE);
         Ok(Self(file))
+        let path = directory.join(EVENTS);
+        let file = gate
+            .pass(Operation::Write, &path)
+            .and_then(|()| OpenOptions::new().write(true).create_new(true).open(&path))
+            .map_err(|source| RecordingError::storage(&path, "create", source))?;
+        gate.note(Change::Created, &path);
+        // A disk that cannot reserve still writes.
+        let _ = fallocate(&file, FallocateFlags::KEEP_SIZE, 0, RESERVE);
+        Ok(Self { file, path, gate, end: 0 })
     }
 
     /// Opens the log of a crashed recording behind its last whole line; without a file, a new one.
@@ -95,29 +107,76 @@ impl EventLog {
         let line = serde_json::to_string(event)
             .map_err(|error| RecordingError::storage(Path::new(EVENTS), "write", error.into()))?;
         self.0.append((line + "\n").as_bytes())
+        let failed = |source| RecordingError::storage(&self.path, "write", source);
+        let mut line = serde_json::to_vec(event).map_err(|error| failed(error.into()))?;
+        line.push(b'\n');
+        self.gate
+            .pass(Operation::Write, &self.path)
+            .and_then(|()| self.file.write_all_at(&line, self.end))
+            .map_err(failed)?;
+        self.gate.note(Change::Bytes(self.end, &line), &self.path);
+        self.end += line.len() as u64;
+        Ok(())
+    }
+
+    /// For syncing while events are written.
+    pub(super) fn sync_file(&self) -> Result<SyncFile, RecordingError> {
+        super::writer::sync_file(&self.path)
     }
 
     /// Gives back what was reserved and makes the log durable.
     pub(super) fn close(self) -> Result<(), RecordingError> {
         self.0.close()
+        self.file
+            .set_len(self.end)
+            .and_then(|()| self.gate.pass(Operation::Sync, &self.path))
+            .and_then(|()| self.file.sync_all())
+            .map_err(|source| RecordingError::storage(&self.path, "sync", source))?;
+        self.gate.note(Change::Length(self.end), &self.path);
+        self.gate.note(Change::Synced, &self.path);
+        Ok(())
     }
+}
+
+/// The lines of a log up to the first that is no event.
+struct Lines {
+    events: Vec<Event>,
+    /// Bytes that they take.
+    end: usize,
+    /// The line behind them, if it is whole and no event, and whether it is the last.
+    fault: Option<(RecordingError, bool)>,
 }
 
 /// All whole lines, and the bytes that they take.
 pub(super) fn read(directory: &Path) -> Result<(Vec<Event>, u64), RecordingError> {
+    let lines = read_lines(directory)?;
+    lines.fault.map_or(Ok((lines.events, lines.end as u64)), |(error, _)| Err(error))
+}
+
+/// As [`read`], without a last line that a crash left half written.
+pub(super) fn read_torn(directory: &Path) -> Result<(Vec<Event>, u64), RecordingError> {
+    let lines = read_lines(directory)?;
+    match lines.fault {
+        Some((error, false)) => Err(error),
+        _ => Ok((lines.events, lines.end as u64)),
+    }
+}
+
+fn read_lines(directory: &Path) -> Result<Lines, RecordingError> {
     let path = directory.join(EVENTS);
     let text = super::metadata::read_text(&path, MAX_EVENTS_BYTES)?;
-    let mut events = Vec::new();
-    let mut end = 0;
-    for line in text.split_inclusive('\n') {
-        if !line.ends_with('\n') {
-            break;
+    let mut lines = Lines { events: Vec::new(), end: 0, fault: None };
+    for line in text.split_inclusive('\n').filter(|line| line.ends_with('\n')) {
+        match serde_json::from_str(line) {
+            Ok(event) => lines.events.push(event),
+            Err(error) => {
+                let field = format!("line {}", lines.events.len() + 1);
+                let is_last = lines.end + line.len() == text.len();
+                lines.fault = Some((RecordingError::damaged(&path, field, error.to_string()), is_last));
+                break;
+            }
         }
-        let event = serde_json::from_str(line).map_err(|error| {
-            RecordingError::damaged(&path, format!("line {}", events.len() + 1), error.to_string())
-        })?;
-        events.push(event);
-        end += line.len() as u64;
+        lines.end += line.len();
     }
-    Ok((events, end))
+    Ok(lines)
 }

@@ -3,8 +3,9 @@
 //! In: a finished recording. Out: a new one beside it; its ledger is the same byte for byte.
 //! Never: changes the source, copies a frame whose checksum is wrong. Fails: [`RecordingError`].
 
-use super::direct::Gate;
+use super::gate::Gate;
 use super::group::Pending;
+use super::sync::Pace;
 use super::{Event, Format, RecordedRun, Recording, RecordingError, RecordingPlan, RecordingSummary, open};
 use crate::acquisition::{Frame, FrameFacts, LedgerRow, RowState};
 use sofiscope_hal::{Channel, FrameInfo, FrameStatus};
@@ -25,7 +26,8 @@ pub fn export(from: &Path, format: Format, directory: &Path) -> Result<Recording
         return Err(RecordingError::Refused { path: from.to_path_buf(), reason });
     };
     let plan = plan_of(&run, format, directory)?;
-    let mut recording = Recording::create_through(&plan, run.metadata().created, Gate::default())?;
+    let mut recording =
+        Recording::create_through(&plan, run.metadata().created, Gate::default(), Pace::default())?;
     let events = run.events().len().saturating_sub(1);
     for event in &run.events()[..events] {
         recording.append(event)?;

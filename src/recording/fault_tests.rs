@@ -1,6 +1,7 @@
 //! Every change of a file made to fail, one after another.
 
-use super::direct::{Gate, Operation};
+use super::gate::{Gate, Operation};
+use super::sync::Pace;
 use super::{
     CameraDescription, Format, Recording, RecordingError, RecordingPlan, StopRecord, StopStatus, open,
 };
@@ -22,9 +23,12 @@ const LEN: usize = (SIDE * SIDE) as usize;
 const EXPOSURES: u64 = 90;
 
 /// A folder in memory where there is one: nothing here depends on a disk, and syncing takes time.
-fn folder() -> tempfile::TempDir {
+pub(super) fn folder() -> tempfile::TempDir {
     tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
 }
+
+/// Syncs after every group.
+pub(super) const EAGER: Pace = Pace { period: Duration::ZERO, bytes: 1 };
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Lasting {
@@ -35,7 +39,7 @@ enum Lasting {
 /// Fails the `k`-th write, counted from 1.
 fn failing(k: u64, errno: Errno, lasting: Lasting) -> Gate {
     let writes = Arc::new(AtomicU64::new(0));
-    Gate::new(move |operation, _| {
+    Gate::new(move |operation: Operation, _: &Path| {
         if operation == Operation::Sync {
             return Ok(());
         }
@@ -45,7 +49,7 @@ fn failing(k: u64, errno: Errno, lasting: Lasting) -> Gate {
     })
 }
 
-fn plan(directory: &Path, format: Format) -> RecordingPlan {
+pub(super) fn plan(directory: &Path, format: Format) -> RecordingPlan {
     let camera = CameraDescription {
         identity: CameraIdentity {
             vendor: String::new(),
@@ -76,7 +80,7 @@ fn pixels(channel: Channel, exposure: u64) -> Vec<u16> {
     (0..LEN as u64).map(|pixel| (pixel * 7 + exposure * 2 + channel.index() as u64) as u16).collect()
 }
 
-fn exposure(index: u64) -> ExposureRecord {
+pub(super) fn exposure(index: u64) -> ExposureRecord {
     let sides = Channel::BOTH.map(|channel| {
         let info = FrameInfo {
             exposure: ExposureIndex(index),
@@ -101,9 +105,10 @@ fn record(
     directory: &Path,
     format: Format,
     gate: Gate,
+    pace: Pace,
 ) -> Result<(Vec<RecordingError>, Result<StopStatus, RecordingError>), RecordingError> {
     let created = jiff::Timestamp::UNIX_EPOCH;
-    let mut recording = Recording::create_through(&plan(directory, format), created, gate)?;
+    let mut recording = Recording::create_through(&plan(directory, format), created, gate, pace)?;
     let mut errors = Vec::new();
     for index in 0..EXPOSURES {
         errors.extend(recording.push(&exposure(index)).err());
@@ -117,7 +122,7 @@ fn record(
 }
 
 /// Every recorded row has its frame; returns the rows.
-fn assert_readable(directory: &Path) -> Vec<LedgerRow> {
+pub(super) fn assert_readable(directory: &Path) -> Vec<LedgerRow> {
     let mut run = open(directory).unwrap();
     let rows: Vec<LedgerRow> = run.rows().unwrap().map(Result::unwrap).collect();
     let mut counts = vec![0; LEN];
@@ -135,7 +140,7 @@ fn assert_survives(k: u64, errno: Errno, lasting: Lasting, format: Format) {
     let folder = folder();
     let directory = folder.path().join("run");
     let case = format!("{format:?}, write {k}, {errno:?}, {lasting:?}");
-    let (errors, ended) = match record(&directory, format, failing(k, errno, lasting)) {
+    let (errors, ended) = match record(&directory, format, failing(k, errno, lasting), Pace::default()) {
         Err(error) => {
             assert!(!directory.exists(), "{case}: {error}");
             return;
@@ -182,20 +187,106 @@ fn whichever_write_fails_everything_before_is_readable() {
     }
 }
 
+/// Every sync fails from the `k`-th on, or only that one, counted from 1.
+fn assert_survives_sync(k: u64, lasting: Lasting, format: Format) {
+    let folder = folder();
+    let directory = folder.path().join("run");
+    let case = format!("{format:?}, sync {k}, {lasting:?}");
+    let syncs = Arc::new(AtomicU64::new(0));
+    let counted = Arc::clone(&syncs);
+    let gate = Gate::new(move |operation: Operation, _: &Path| {
+        let sync = match operation {
+            Operation::Write => return Ok(()),
+            Operation::Sync => counted.fetch_add(1, Ordering::Relaxed) + 1,
+        };
+        let fails = sync == k || sync > k && lasting == Lasting::FromThenOn;
+        if fails { Err(Errno::IO.into()) } else { Ok(()) }
+    });
+    let (errors, ended) = match record(&directory, format, gate, EAGER) {
+        Err(error) => return assert!(!directory.exists(), "{case}: {error}"),
+        Ok(outcome) => outcome,
+    };
+    assert!(errors.len() <= 1, "{case}: {errors:?}");
+    for error in &errors {
+        assert_eq!(error.loss(), Loss::IoError, "{case}");
+        assert!(error.to_string().contains("sync"), "{case}: {error}");
+    }
+    let has_failed = syncs.load(Ordering::Relaxed) >= k;
+    assert!(has_failed || errors.is_empty(), "{case}");
+    match ended {
+        Ok(status) => assert_eq!(status == StopStatus::Fail, has_failed, "{case}"),
+        Err(error) => assert!(has_failed, "{case}: {error}"),
+    }
+    assert_eq!(assert_readable(&directory).len() as u64, 2 * EXPOSURES, "{case}");
+}
+
 #[test]
-fn data_that_does_not_become_durable_fails_the_recording() {
+fn whichever_sync_fails_the_recording_has_failed_and_stays_readable() {
+    for format in [Format::OmeTiff, Format::OmeZarr] {
+        for k in (1..=24).chain([30, 41, 60, 90]) {
+            for lasting in [Lasting::Once, Lasting::FromThenOn] {
+                assert_survives_sync(k, lasting, format);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_directory_that_is_deleted_or_renamed_is_missed() {
+    for format in [Format::OmeTiff, Format::OmeZarr] {
+        for is_deleted in [true, false] {
+            let folder = folder();
+            let directory = folder.path().join("run");
+            let mut recording = Recording::create(&plan(&directory, format)).unwrap();
+            recording.push(&exposure(0)).unwrap();
+            recording.commit().unwrap();
+            recording.ensure_present().unwrap();
+            let renamed = folder.path().join("renamed");
+            if is_deleted {
+                std::fs::remove_dir_all(&directory).unwrap();
+            } else {
+                std::fs::rename(&directory, &renamed).unwrap();
+            }
+            let error = recording.ensure_present().unwrap_err();
+            assert!(matches!(error, RecordingError::Gone { .. }), "{error}");
+            assert!(error.to_string().contains(&directory.display().to_string()), "{error}");
+            let stop = StopRecord { status: StopStatus::Fail, reason: error.to_string() };
+            assert!(recording.finish(stop).is_err());
+            assert!(is_deleted || assert_readable(&renamed).len() == 2);
+        }
+    }
+}
+
+#[test]
+fn a_disk_that_hangs_at_the_end_keeps_nobody_waiting() {
     for format in [Format::OmeTiff, Format::OmeZarr] {
         let folder = folder();
         let directory = folder.path().join("run");
-        let gate = Gate::new(|operation, path| {
-            let is_image = path.to_string_lossy().contains(".ome.");
-            if operation == Operation::Sync && is_image { Err(Errno::IO.into()) } else { Ok(()) }
+        let (release, held) = std::sync::mpsc::sync_channel::<()>(0);
+        let held = std::sync::Mutex::new(held);
+        let hangs = Arc::new(std::sync::atomic::AtomicBool::new(false));
+        let is_hanging = Arc::clone(&hangs);
+        let gate = Gate::new(move |operation: Operation, _: &Path| {
+            if operation == Operation::Sync && is_hanging.load(Ordering::Relaxed) {
+                // Until the test lets go.
+                let _ = held.lock().unwrap().recv();
+            }
+            Ok(())
         });
-        let (errors, ended) = record(&directory, format, gate).unwrap();
-        assert!(errors.is_empty());
-        assert_eq!(ended.unwrap(), StopStatus::Fail);
-        let stop = open(&directory).unwrap().stop().unwrap();
-        assert!(stop.reason.contains("sync") || stop.reason.contains("description"), "{}", stop.reason);
-        assert_eq!(assert_readable(&directory).len() as u64, 2 * EXPOSURES);
+        let created = jiff::Timestamp::UNIX_EPOCH;
+        let mut recording =
+            Recording::create_through(&plan(&directory, format), created, gate, Pace::default()).unwrap();
+        hangs.store(true, Ordering::Relaxed);
+        for index in 0..EXPOSURES {
+            recording.push(&exposure(index)).unwrap();
+            recording.settle(0).unwrap();
+        }
+        let stop = StopRecord { status: StopStatus::Success, reason: "planned".to_owned() };
+        let error = recording.finish_within(stop, Duration::from_millis(50)).unwrap_err();
+        assert!(matches!(error, RecordingError::Hangs { .. }), "{error}");
+        let rows = assert_readable(&directory);
+        assert!(rows.iter().all(|row| matches!(row.state, RowState::Recorded { .. })));
+        assert_eq!(rows.len() as u64, 2 * EXPOSURES);
+        drop(release);
     }
 }

@@ -4,7 +4,8 @@
 //! Never: moves a page or touches a pixel. Fails: [`RecordingError`]; the file is then a plain stack of pages.
 
 use super::RecordingError;
-use super::direct::{Gate, Operation, PAGE};
+use super::direct::PAGE;
+use super::gate::{Change, Gate, Operation};
 use super::metadata::Metadata;
 use super::writer::ImageWriter;
 use super::zarr;
@@ -55,8 +56,10 @@ pub(super) fn describe(
     text.push(0);
     let count = text.len() as u64;
     text.resize(text.len().next_multiple_of(PAGE), 0);
-    let write = |file: &File, bytes: &[u8], offset| {
-        gate.pass(Operation::Write, path).and_then(|()| file.write_all_at(bytes, offset))
+    let write = |file: &File, bytes: &[u8], offset| -> std::io::Result<()> {
+        gate.pass(Operation::Write, path).and_then(|()| file.write_all_at(bytes, offset))?;
+        gate.note(Change::Bytes(offset, bytes), path);
+        Ok(())
     };
     let file = OpenOptions::new()
         .read(true)
@@ -68,6 +71,7 @@ pub(super) fn describe(
         .and_then(|()| gate.pass(Operation::Sync, path))
         .and_then(|()| file.sync_data())
         .and_then(|()| {
+            gate.note(Change::Synced, path);
             let (at, mut field) = description_field(&file)?;
             field[4..12].copy_from_slice(&count.to_le_bytes());
             field[12..].copy_from_slice(&end.to_le_bytes());

@@ -5,10 +5,10 @@
 
 use super::RecordingError;
 use super::facts::{self, FactsBytes};
-use super::writer::{ImageWriter, Staged};
+use super::writer::ImageWriter;
 use crate::acquisition::{Frame, LedgerRow, Loss, RowState};
 
-/// From this size on, both cameras' frames are written side by side.
+/// From this size on, the frames of both cameras are written side by side.
 const SIDE_BY_SIDE_BYTES: usize = 1 << 20;
 
 /// One exposure on its way to the disk.
@@ -28,41 +28,42 @@ pub(super) fn write_images(
         side_r.extend(frame_r.as_ref().map(|frame| (row_r, frame)));
         side_t.extend(frame_t.as_ref().map(|frame| (row_t, frame)));
     }
-    let bytes: usize = side_t.iter().map(|(_, frame)| frame.bytes().len()).sum();
     let [image_r, image_t] = images;
-    if bytes < SIDE_BY_SIDE_BYTES {
-        stage(image_r, side_r)?;
-        stage(image_t, side_t)?;
+    let pages = [image_r.pages(), image_t.pages()];
+    let [pixels_r, pixels_t] = [&side_r, &side_t].map(|side| pixels(side));
+    let bytes: usize = pixels_t.iter().map(|frame| frame.len()).sum();
+    let facts = if bytes < SIDE_BY_SIDE_BYTES {
+        image_r.stage(&pixels_r)?;
+        image_t.stage(&pixels_t)?;
+        [number(side_r, pages[0]), number(side_t, pages[1])]
     } else {
-        // Checksums of one camera are computed while the disk is busy with the other.
+        // Checksums are computed while the disk is busy, so that it never waits for them.
         std::thread::scope(|scope| {
-            let other = scope.spawn(|| stage(image_t, side_t));
-            let this = stage(image_r, side_r);
-            let other = other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-            this.and(other)
-        })?;
-    }
-    images.iter_mut().try_for_each(ImageWriter::publish)
+            let writing_r = scope.spawn(|| image_r.stage(&pixels_r));
+            let writing_t = scope.spawn(|| image_t.stage(&pixels_t));
+            let facts = [number(side_r, pages[0]), number(side_t, pages[1])];
+            let [wrote_r, wrote_t] = [writing_r, writing_t]
+                .map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+            wrote_r.and(wrote_t).map(|()| facts)
+        })?
+    };
+    images.iter_mut().zip(&facts).try_for_each(|(image, facts)| image.publish(facts))
 }
 
 /// A frame and its row, which gets page and checksum.
 type Numbered<'a> = (&'a mut LedgerRow, &'a Frame);
 
-/// Numbers the frames of one camera and writes them, not yet for readers to see.
-fn stage(image: &mut ImageWriter, side: Vec<Numbered<'_>>) -> Result<(), RecordingError> {
-    if side.is_empty() {
-        return Ok(());
-    }
-    let mut facts: Vec<FactsBytes> = Vec::with_capacity(side.len());
-    let mut pixels = Vec::with_capacity(side.len());
-    for ((row, frame), page) in side.into_iter().zip(image.pages()..) {
+fn pixels<'a>(side: &[Numbered<'a>]) -> Vec<&'a [u8]> {
+    side.iter().map(|(_, frame)| frame.bytes()).collect()
+}
+
+/// Numbers the frames of one camera from `pages` on; what each carries with it.
+fn number(side: Vec<Numbered<'_>>, pages: u64) -> Vec<FactsBytes> {
+    let of_frame = |((row, frame), page): (Numbered<'_>, u64)| {
         row.state = RowState::Recorded { page, crc32c: crc32c::crc32c(frame.bytes()) };
-        facts.push(facts::encode(row).unwrap_or([0; facts::FACTS_BYTES]));
-        pixels.push(frame.bytes());
-    }
-    let staged: Vec<Staged<'_>> =
-        pixels.into_iter().zip(&facts).map(|(pixels, facts)| Staged { pixels, facts }).collect();
-    image.stage(&staged)
+        facts::encode(row).unwrap_or([0; facts::FACTS_BYTES])
+    };
+    side.into_iter().zip(pages..).map(of_frame).collect()
 }
 
 /// Marks every frame of a group as lost.

@@ -1,31 +1,35 @@
 //! Frame pairs and provenance to disk, lossless or loudly not; and back.
 //!
 //! ```text
-//! ExposureRecord ─► Recording ─┬─► reflection, transmission: OME-TIFF or OME-Zarr, committed in groups
+//! ExposureRecord ─► Recording ─┬─► reflection, transmission: OME-TIFF or OME-Zarr, committed as they come, or in groups
 //!                              ├─► ledger.csv: one row per exposure of each camera
 //!                              └─► events.jsonl, recording.json, provenance
 //! directory ─► open ─► RecordedRun ─► frames and rows      recover: after a crash      export: to the other format
 //! ```
 //!
 //! In: every exposure once, in order. Out: a directory that opens in stock readers at any moment, and its reader.
-//! Never: promises a frame that is not there, overwrites anything, starts a thread but the one that syncs and, for the time of one group, one for the second camera.
+//! Never: promises a frame that is not there, overwrites anything, starts a thread but the one that syncs, for the time of one group one per camera, and one for the end.
 //! Fails: [`RecordingError`] with path, free bytes and remedy; what was committed stays readable,
 //! and what could not be written is in the ledger as lost.
 //!
 //! A commit writes pixels, then the pointer that makes readers see them, then the rows of the ledger.
 
 mod appended;
+mod begin;
 mod direct;
+mod ending;
 mod error;
 mod events;
 mod export;
 mod facts;
 mod finish;
+mod gate;
 mod group;
 mod ledger_file;
 mod lock;
 mod merge;
 mod metadata;
+mod presence;
 mod reader;
 mod recorder;
 mod recover;
@@ -40,6 +44,8 @@ mod zarr_pages;
 
 #[cfg(test)]
 mod fault_tests;
+#[cfg(test)]
+mod power_loss_tests;
 
 pub use error::RecordingError;
 pub use events::{Event, StopRecord, StopStatus};

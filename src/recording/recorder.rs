@@ -5,15 +5,19 @@
 //! Fails: once; from then on every frame goes to the ledger as lost, and finishing still works.
 
 use super::RecordingError;
-use super::direct::{Gate, Operation, sync_directory};
+use super::begin::{ensure_planned_space, write_new};
+use super::direct::sync_directory;
+use super::ending::Ending;
 use super::events::{Event, EventLog, StopRecord, StopStatus};
-use super::finish::{MAX_PLANE_TIMES, finish_image};
+use super::finish::MAX_PLANE_TIMES;
+use super::gate::{Change, Gate, Operation};
 use super::group::{Pending, lose, lose_beyond, write_images};
-use super::ledger_file::LedgerFile;
-use super::lock::Lock;
-use super::metadata::{METADATA, Metadata, RecordingPlan, stride};
+use super::ledger_file::{LEDGER, LedgerFile};
+use super::lock::{Lock, note_durable};
+use super::metadata::{METADATA, Metadata, RecordingPlan};
+use super::presence::Presence;
 use super::summary::RecordingSummary;
-use super::sync::Syncer;
+use super::sync::{Pace, SyncFile, SyncRequest, Syncer, sync};
 use super::writer::ImageWriter;
 use crate::acquisition::{ExposureRecord, Frame, FrameFacts, LedgerRow, Loss, RowState, Side};
 use crate::files::free_bytes;
@@ -22,12 +26,16 @@ use sofiscope_hal::Channel;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// A group is committed when one camera has this much in it.
 const GROUP_BYTES: u64 = 16 << 20;
 /// Or this many exposures, with or without frames.
 const GROUP_EXPOSURES: usize = 4096;
+/// While more waits to be pushed, the oldest exposure of a group is at most this old.
+const GROUP_AGE: Duration = Duration::from_millis(50);
+/// Closing takes this long at most, and then goes on without anybody who waits.
+const CLOSING_TIME: Duration = Duration::from_secs(30);
 /// A run ends when less than this is free.
 const LOW_WATER_BYTES: u64 = 2 << 30;
 /// Or less than what the cameras deliver in this time.
@@ -44,7 +52,10 @@ pub struct Recording {
     ledger: LedgerFile,
     events: EventLog,
     syncer: Syncer,
+    /// Ledger and events, for syncing.
+    texts: [SyncFile; 2],
     lock: Lock,
+    presence: Presence,
     pending: Vec<Pending>,
     pending_bytes: [u64; 2],
     pending_since: Option<Instant>,
@@ -70,13 +81,14 @@ impl Recording {
     /// [`RecordingError::Exists`], [`RecordingError::Space`] when the plan does not fit with 5 % to spare,
     /// [`RecordingError::Refused`], [`RecordingError::Storage`].
     pub fn create(plan: &RecordingPlan) -> Result<Self, RecordingError> {
-        Self::create_through(plan, jiff::Timestamp::now(), Gate::default())
+        Self::create_through(plan, jiff::Timestamp::now(), Gate::default(), Pace::default())
     }
 
     pub(super) fn create_through(
         plan: &RecordingPlan,
         created: jiff::Timestamp,
         gate: Gate,
+        pace: Pace,
     ) -> Result<Self, RecordingError> {
         let metadata = Metadata::of(plan, created)?;
         ensure_planned_space(plan)?;
@@ -87,15 +99,25 @@ impl Recording {
                 _ => RecordingError::storage(directory, "create", source),
             },
         )?;
-        Self::fill(plan, metadata, gate).inspect_err(|_| {
+        gate.note(Change::Directory, directory);
+        Self::fill(plan, metadata, gate, pace).inspect_err(|_| {
             // Nothing was recorded in what this call made.
             let _ = fs::remove_dir_all(directory);
         })
     }
 
-    fn fill(plan: &RecordingPlan, metadata: Metadata, gate: Gate) -> Result<Self, RecordingError> {
+    fn fill(
+        plan: &RecordingPlan,
+        metadata: Metadata,
+        gate: Gate,
+        pace: Pace,
+    ) -> Result<Self, RecordingError> {
         let directory = &plan.directory;
         let lock = Lock::take(directory)?;
+        let lock_file = lock.file()?;
+        gate.note(Change::Created, &lock_file.0);
+        note_durable(&lock_file, [0; 2], &gate)
+            .map_err(|source| RecordingError::storage(&lock_file.0, "write", source))?;
         let text = serde_json::to_string_pretty(&metadata)
             .map_err(|error| RecordingError::storage(directory, "describe", error.into()))?;
         write_new(&directory.join(METADATA), &(text + "\n"), &gate)?;
@@ -104,12 +126,21 @@ impl Recording {
         }
         let image = |channel| ImageWriter::create(directory, &metadata, channel, gate.clone());
         let images = [image(Channel::Reflected)?, image(Channel::Transmitted)?];
+        let ledger = LedgerFile::create(directory, gate.clone())?;
+        let events = EventLog::create(directory, gate.clone())?;
+        let texts = [ledger.sync_file()?, events.sync_file()?];
+        let files: Vec<_> = images.iter().flat_map(ImageWriter::sync_files).chain(texts.clone()).collect();
+        // What never changes again, the heads of the files, is durable before the first frame.
+        files.iter().chain([&lock_file]).try_for_each(|file| sync(file, &gate))?;
+        let names = Channel::BOTH.map(|channel| directory.join(metadata.image_name(channel)));
         let recording = Self {
+            presence: Presence::of([directory.clone(), directory.join(LEDGER)].into_iter().chain(names))?,
             images,
-            ledger: LedgerFile::create(directory, gate.clone())?,
-            events: EventLog::create(directory, gate.clone())?,
-            syncer: Syncer::start(gate.clone())
+            ledger,
+            events,
+            syncer: Syncer::start(lock_file, gate.clone(), pace)
                 .map_err(|source| RecordingError::storage(directory, "start syncing", source))?,
+            texts,
             lock,
             pending: Vec::new(),
             pending_bytes: [0; 2],
@@ -172,10 +203,16 @@ impl Recording {
         (row, frame)
     }
 
-    /// Since when the oldest exposure waits to be committed.
-    #[must_use]
-    pub fn pending_since(&self) -> Option<Instant> {
-        self.pending_since
+    /// Commits what is pending when no exposure is `waiting` to be pushed, or the oldest has waited for 50 ms:
+    /// a disk that keeps up gets each exposure at once, and one that does not gets larger groups.
+    ///
+    /// # Errors
+    /// As [`commit`](Recording::commit).
+    pub fn settle(&mut self, waiting: usize) -> Result<(), RecordingError> {
+        match self.pending_since {
+            Some(since) if waiting == 0 || since.elapsed() >= GROUP_AGE => self.commit(),
+            _ => Ok(()),
+        }
     }
 
     /// Writes what is pending: pixels, then the pointers that make readers see them, then the rows.
@@ -239,10 +276,12 @@ impl Recording {
     }
 
     fn sync_if_due(&mut self, bytes: u64) {
-        let files: Vec<_> = self.images.iter().flat_map(ImageWriter::sync_files).collect();
+        let files: Vec<_> =
+            self.images.iter().flat_map(ImageWriter::sync_files).chain(self.texts.clone()).collect();
         // Small frames fill shards faster than time passes, and each keeps a descriptor.
         let is_due = self.syncer.is_due(bytes) || files.len() > 64;
-        if is_due && self.syncer.request(files) {
+        let frames = self.images.each_ref().map(ImageWriter::pages);
+        if is_due && self.syncer.request(SyncRequest { files, frames }) {
             self.images.iter_mut().for_each(ImageWriter::sync_requested);
         }
     }
@@ -305,6 +344,14 @@ impl Recording {
         Err(RecordingError::Space { path: self.directory.clone(), needed_bytes, free_bytes: left.bytes })
     }
 
+    /// That the directory and its files are still where they were created; to be asked a few times per second.
+    ///
+    /// # Errors
+    /// [`RecordingError::Gone`]; then it is time to finish.
+    pub fn ensure_present(&self) -> Result<(), RecordingError> {
+        self.presence.ensure()
+    }
+
     /// What is recorded so far.
     #[must_use]
     pub fn summary(&self) -> &RecordingSummary {
@@ -315,51 +362,34 @@ impl Recording {
     ///
     /// # Errors
     /// [`RecordingError::Storage`] when ledger or stop record could not be written; the frames are readable.
-    pub fn finish(mut self, stop: StopRecord) -> Result<RecordingSummary, RecordingError> {
-        let mut fault = self.commit().err().map(|error| error.to_string());
-        for channel in Channel::BOTH {
-            let image = &mut self.images[channel.index()];
-            let times = &self.times[channel.index()];
-            if let Err(error) = finish_image(image, &self.metadata, channel, times, &self.gate) {
-                fault.get_or_insert(error.to_string());
-            }
-        }
-        let files = self.images.iter().flat_map(ImageWriter::sync_files).collect();
-        if let Err(error) = self.syncer.finish(files) {
-            fault.get_or_insert(error.to_string());
-        }
-        let fault = self.failed.map(|(_, text)| text).or(fault);
-        self.tally.stop = match fault {
-            None => stop,
-            Some(fault) => {
-                StopRecord { status: StopStatus::Fail, reason: format!("{}: {fault}", stop.reason) }
-            }
-        };
-        let ledger = self.ledger.write(&[]).and_then(|()| self.ledger.close());
-        self.events.append(&Event::stop(&self.tally.stop))?;
-        self.events.close()?;
-        ledger?;
-        self.lock.release();
-        sync_directory(&self.directory, &self.gate)?;
-        Ok(self.tally)
+    /// [`RecordingError::Hangs`] when the disk does not answer for 30 s.
+    pub fn finish(self, stop: StopRecord) -> Result<RecordingSummary, RecordingError> {
+        self.finish_within(stop, CLOSING_TIME)
     }
-}
 
-fn ensure_planned_space(plan: &RecordingPlan) -> Result<(), RecordingError> {
-    let Some(planned) = plan.planned_exposures else { return Ok(()) };
-    let per_exposure: u64 = plan.cameras.iter().map(stride).sum();
-    let needed_bytes = planned.saturating_mul(per_exposure).saturating_mul(105) / 100;
-    let free_bytes = free_bytes(&plan.directory)?;
-    if free_bytes >= needed_bytes {
-        return Ok(());
+    pub(super) fn finish_within(
+        mut self,
+        stop: StopRecord,
+        time: Duration,
+    ) -> Result<RecordingSummary, RecordingError> {
+        let directory = self.directory.clone();
+        super::ending::within(time, &directory, move || {
+            let fault = self.commit().err().map(|error| error.to_string());
+            let fault = self.failed.map(|(_, text)| text).or(fault);
+            Ending {
+                directory: self.directory,
+                metadata: self.metadata,
+                gate: self.gate,
+                images: self.images,
+                ledger: self.ledger,
+                events: self.events,
+                syncer: self.syncer,
+                lock: self.lock,
+                tally: self.tally,
+                times: self.times,
+                fault,
+            }
+            .run(stop)
+        })
     }
-    Err(RecordingError::Space { path: plan.directory.clone(), needed_bytes, free_bytes })
-}
-
-fn write_new(path: &Path, text: &str, gate: &Gate) -> Result<(), RecordingError> {
-    use std::io::Write;
-    gate.pass(Operation::Write, path)
-        .and_then(|()| fs::OpenOptions::new().write(true).create_new(true).open(path))
-        .and_then(|mut file| file.write_all(text.as_bytes()).and_then(|()| file.sync_all()))
-        .map_err(|source| RecordingError::storage(path, "write", source))
 }

@@ -7,15 +7,17 @@
 //! Frames carry the facts of their rows with them, so rows that the crash took come back whole.
 
 use super::RecordingError;
-use super::direct::{Gate, sync_directory};
+use super::direct::sync_directory;
 use super::events::{self, EVENTS, Event, EventLog, StopRecord, StopStatus};
 use super::finish::{MAX_PLANE_TIMES, describe};
+use super::gate::Gate;
 use super::ledger_file::LEDGER;
 use super::lock::Lock;
 use super::merge::{Changes, Merge};
 use super::metadata::Metadata;
 use super::reader::{ImagePages, checksum};
 use super::tiff_pages::{FrameSize, TiffPages};
+use super::zarr_pages::ZarrPages;
 use crate::acquisition::LedgerRow;
 use serde::Serialize;
 use sofiscope_hal::Channel;
@@ -94,7 +96,7 @@ impl RecoverReport {
 pub fn recover(directory: &Path) -> Result<RecoverReport, RecordingError> {
     let metadata = Metadata::read(directory)?;
     let lock = Lock::take(directory)?;
-    let outcome = Recovery::of(directory, metadata).and_then(Recovery::run);
+    let outcome = Recovery::of(directory, metadata, lock.durable()).and_then(Recovery::run);
     lock.release();
     outcome
 }
@@ -107,13 +109,19 @@ struct Recovery {
     is_broken: [bool; 2],
     events_end: u64,
     is_finished: bool,
+    /// Frames that were durable before the crash; `None` where nothing says so.
+    durable: Option<[u64; 2]>,
     report: RecoverReport,
 }
 
 impl Recovery {
-    fn of(directory: &Path, metadata: Metadata) -> Result<Self, RecordingError> {
+    fn of(directory: &Path, metadata: Metadata, durable: Option<[u64; 2]>) -> Result<Self, RecordingError> {
         let (events, events_end) =
-            if directory.join(EVENTS).exists() { events::read(directory)? } else { (Vec::new(), 0) };
+            if directory.join(EVENTS).exists() { events::read_torn(directory)? } else { (Vec::new(), 0) };
+        let is_finished = events.last().is_some_and(|event| event.as_stop().is_some());
+        if !is_finished {
+            Channel::BOTH.into_iter().try_for_each(|channel| mend_shards(directory, &metadata, channel))?;
+        }
         let image = |channel| open_readable(directory, &metadata, channel);
         let [(r, r_broken), (t, t_broken)] = [image(Channel::Reflected)?, image(Channel::Transmitted)?];
         let report = RecoverReport {
@@ -129,7 +137,8 @@ impl Recovery {
             directory: directory.to_path_buf(),
             images: [r, t],
             is_broken: [r_broken, t_broken],
-            is_finished: events.last().is_some_and(|event| event.as_stop().is_some()),
+            is_finished,
+            durable,
             events_end,
             metadata,
             report,
@@ -159,7 +168,7 @@ impl Recovery {
         Ok(self.report)
     }
 
-    /// Compares every frame with its checksum; leaves out those at the end that a crash left half written.
+    /// Compares every frame with its checksum; leaves out the end from the first that a crash left half written.
     fn check_frames(&mut self, channel: Channel) -> Result<bool, RecordingError> {
         let index = channel.index();
         let camera = &self.metadata.cameras[index];
@@ -180,6 +189,14 @@ impl Recovery {
             keep -= 1;
             damaged.pop();
         }
+        // A crash of the computer loses writes in any order, so what follows a frame that is lost goes with it;
+        // but before the last sync a frame that is wrong has another reason.
+        let first_lost = self
+            .durable
+            .filter(|_| !self.is_finished)
+            .and_then(|durable| damaged.iter().copied().find(|page| *page >= durable[index]));
+        keep = keep.min(first_lost.unwrap_or(keep));
+        damaged.retain(|page| *page < keep);
         self.report.frames[index] = keep;
         self.report.frames_cut[index] = all - keep;
         self.report.damaged.extend(damaged.into_iter().map(|page| (channel, page)));
@@ -288,5 +305,16 @@ fn open_readable(
             Ok((ImagePages::Tiff(pages), fault.is_some()))
         }
         super::Format::OmeZarr => Ok((ImagePages::open(directory, metadata, channel)?, false)),
+    }
+}
+
+/// Writes the indices of shards again that a crash of the computer left half written.
+fn mend_shards(directory: &Path, metadata: &Metadata, channel: Channel) -> Result<(), RecordingError> {
+    match metadata.format {
+        super::Format::OmeTiff => Ok(()),
+        super::Format::OmeZarr => {
+            let camera = &metadata.cameras[channel.index()];
+            ZarrPages::open(&directory.join(metadata.image_name(channel)), camera)?.mend(camera, channel)
+        }
     }
 }

@@ -1,10 +1,12 @@
 //! Makes what is written durable, beside the recorder and never in its way.
 //!
-//! In: paths of files under way. Out: `fdatasync` on descriptors of its own, on a thread of its own.
+//! In: files under way and the frames in them. Out: `fdatasync` on descriptors of its own, on a thread of its own,
+//! and then the number of durable frames in the lock file.
 //! Never: retries a sync that failed, since the system reports lost data only once. Fails: the first error stays.
 
 use super::RecordingError;
-use super::direct::{Gate, Operation};
+use super::gate::{Change, Gate, Operation};
+use super::lock::note_durable;
 use std::fs::File;
 use std::path::PathBuf;
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -12,50 +14,72 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Data becomes durable at least this often while there is any.
-const PERIOD: Duration = Duration::from_secs(1);
-/// And when this much has been written.
-const BYTES: u64 = 512 << 20;
+/// When data is to become durable.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pace {
+    /// At least this often while there is any.
+    pub(super) period: Duration,
+    /// And when this much has been written.
+    pub(super) bytes: u64,
+}
 
-/// A file with a descriptor of its own for syncing.
+impl Default for Pace {
+    fn default() -> Self {
+        Self { period: Duration::from_secs(1), bytes: 512 << 20 }
+    }
+}
+
+/// A file or directory with a descriptor of its own for syncing.
 pub(super) type SyncFile = Arc<(PathBuf, File)>;
 
 type Failure = Arc<Mutex<Option<RecordingError>>>;
 
+/// What is to become durable.
+#[derive(Debug)]
+pub(super) struct SyncRequest {
+    pub(super) files: Vec<SyncFile>,
+    /// Frames of R and T that the files hold.
+    pub(super) frames: [u64; 2],
+}
+
 /// The thread and what it is to do next.
 #[derive(Debug)]
 pub(super) struct Syncer {
-    requests: Option<SyncSender<Vec<SyncFile>>>,
+    requests: Option<SyncSender<SyncRequest>>,
     thread: Option<JoinHandle<()>>,
     failure: Failure,
+    pace: Pace,
     last: Instant,
     bytes: u64,
 }
 
 impl Syncer {
-    pub(super) fn start(gate: Gate) -> std::io::Result<Self> {
-        let (requests, received) = sync_channel::<Vec<SyncFile>>(1);
+    /// Starts the thread; `lock` is the file that tells how many frames are durable.
+    pub(super) fn start(lock: SyncFile, gate: Gate, pace: Pace) -> std::io::Result<Self> {
+        let (requests, received) = sync_channel::<SyncRequest>(1);
         let failure: Failure = Arc::default();
         let failed = Arc::clone(&failure);
         let thread = std::thread::Builder::new().name("record-sync".to_owned()).spawn(move || {
-            for files in received {
-                for file in &files {
-                    sync(file, &gate, &failed);
+            for request in received {
+                if let Err(error) = carry_out(&request, &lock, &gate) {
+                    failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+                    return;
                 }
             }
         })?;
-        Ok(Self { requests: Some(requests), thread: Some(thread), failure, last: Instant::now(), bytes: 0 })
+        let thread = Some(thread);
+        Ok(Self { requests: Some(requests), thread, failure, pace, last: Instant::now(), bytes: 0 })
     }
 
     /// Notes `bytes` written; true when it is time to sync.
     pub(super) fn is_due(&mut self, bytes: u64) -> bool {
         self.bytes += bytes;
-        self.bytes > 0 && (self.bytes >= BYTES || self.last.elapsed() >= PERIOD)
+        self.bytes > 0 && (self.bytes >= self.pace.bytes || self.last.elapsed() >= self.pace.period)
     }
 
     /// Hands over files to sync; while the thread is busy with others they wait for the next time.
-    pub(super) fn request(&mut self, files: Vec<SyncFile>) -> bool {
-        let taken = self.requests.as_ref().is_some_and(|requests| requests.try_send(files).is_ok());
+    pub(super) fn request(&mut self, request: SyncRequest) -> bool {
+        let taken = self.requests.as_ref().is_some_and(|requests| requests.try_send(request).is_ok());
         if taken {
             self.last = Instant::now();
             self.bytes = 0;
@@ -68,11 +92,11 @@ impl Syncer {
         self.failure.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 
-    /// Syncs `files` as the last ones and waits for all.
-    pub(super) fn finish(mut self, files: Vec<SyncFile>) -> Result<(), RecordingError> {
+    /// Syncs what is left and waits for all.
+    pub(super) fn finish(mut self, request: SyncRequest) -> Result<(), RecordingError> {
         if let Some(requests) = self.requests.take() {
             // A thread that is gone is found by joining it.
-            let _ = requests.send(files);
+            let _ = requests.send(request);
         }
         if self.thread.take().is_some_and(|thread| thread.join().is_err()) {
             let source = std::io::Error::other("the syncing thread panicked");
@@ -82,10 +106,18 @@ impl Syncer {
     }
 }
 
-fn sync(file: &SyncFile, gate: &Gate, failure: &Failure) {
+fn carry_out(request: &SyncRequest, lock: &SyncFile, gate: &Gate) -> Result<(), RecordingError> {
+    request.files.iter().chain([lock]).try_for_each(|file| sync(file, gate))?;
+    note_durable(lock, request.frames, gate)
+        .map_err(|source| RecordingError::storage(&lock.0, "write", source))
+}
+
+/// Makes one file or directory durable.
+pub(super) fn sync(file: &SyncFile, gate: &Gate) -> Result<(), RecordingError> {
     let (path, file) = &**file;
-    if let Err(source) = gate.pass(Operation::Sync, path).and_then(|()| file.sync_data()) {
-        let error = RecordingError::storage(path, "sync", source);
-        failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
-    }
+    gate.pass(Operation::Sync, path)
+        .and_then(|()| file.sync_data())
+        .map_err(|source| RecordingError::storage(path, "sync", source))?;
+    gate.note(Change::Synced, path);
+    Ok(())
 }

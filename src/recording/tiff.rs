@@ -12,10 +12,11 @@
 //! Never: links to a group before it is completely written. Fails: [`RecordingError`]; the chain is then as before.
 
 use super::RecordingError;
-use super::direct::{Aligned, DirectFile, Gate, PAGE};
+use super::direct::{Aligned, DirectFile, PAGE};
 use super::facts::{FACTS_BYTES, FactsBytes};
+use super::gate::Gate;
 use super::metadata::{CameraDescription, stride};
-use super::writer::{Bounce, Staged, write_frames};
+use super::writer::{Bounce, write_frames};
 use std::path::Path;
 
 /// Directories in a block of 4 KiB; none lies across two blocks.
@@ -44,7 +45,8 @@ pub(super) struct TiffFile {
     end: u64,
     limit: u64,
     pointer: Pointer,
-    staged: Option<Group>,
+    /// Frames that are written and not linked yet.
+    staged: u64,
 }
 
 /// The block with the end of the chain, and the place of that end in it.
@@ -53,15 +55,6 @@ struct Pointer {
     block: Aligned,
     offset: u64,
     at: usize,
-}
-
-/// A group that is written and not linked yet.
-#[derive(Debug)]
-struct Group {
-    first: u64,
-    pages: u64,
-    end: u64,
-    pointer: Pointer,
 }
 
 impl TiffFile {
@@ -77,7 +70,8 @@ impl TiffFile {
         bytes[UNFINISHED_AT..UNFINISHED_AT + UNFINISHED.len()].copy_from_slice(UNFINISHED);
         let mut file = DirectFile::create(path, gate)?;
         file.write(&[block.bytes()], 0)?;
-        let page_bytes = stride(camera).saturating_add((PAGE / IFDS_PER_BLOCK + 1) as u64);
+        // A group of one frame has a block of directories for itself.
+        let page_bytes = stride(camera).saturating_add(PAGE as u64);
         Ok(Self {
             file,
             camera: camera.clone(),
@@ -86,37 +80,50 @@ impl TiffFile {
             end: PAGE as u64,
             limit: planned.map_or(u64::MAX, |planned| planned.saturating_mul(page_bytes)),
             pointer: Pointer { block, offset: 0, at: FIRST_IFD_AT },
-            staged: None,
+            staged: 0,
         })
     }
 
-    /// Writes a group; readers do not see it yet.
-    pub(super) fn stage(&mut self, group: &[Staged<'_>]) -> Result<(), RecordingError> {
-        let (directories, pointer) = self.directories(group);
-        let pixels_at = self.end + directories.bytes().len() as u64;
-        let end = pixels_at + group.len() as u64 * stride(&self.camera);
-        self.file.reserve(end, self.limit);
-        let frames: Vec<&[u8]> = group.iter().map(|staged| staged.pixels).collect();
-        write_frames(&mut self.file, directories.bytes(), &frames, self.end, &mut self.bounce)?;
-        self.staged = Some(Group { first: self.end, pages: group.len() as u64, end, pointer });
-        Ok(())
+    /// Writes the pixels of a group, with room for its directories before them; readers do not see it yet.
+    pub(super) fn stage(&mut self, group: &[&[u8]]) -> Result<(), RecordingError> {
+        self.staged = group.len() as u64;
+        self.file.reserve(self.staged_end(), self.limit);
+        let pixels_at = self.pixels_at();
+        write_frames(&mut self.file, group, pixels_at, &mut self.bounce)
     }
 
-    /// Links the staged group.
-    pub(super) fn publish(&mut self) -> Result<(), RecordingError> {
-        let Some(group) = self.staged.take() else { return Ok(()) };
-        self.pointer.link(group.first);
+    /// Writes the directories of the staged group and links them.
+    pub(super) fn publish(&mut self, facts: &[FactsBytes]) -> Result<(), RecordingError> {
+        if self.staged == 0 {
+            return Ok(());
+        }
+        let (directories, pointer) = self.directories(facts);
+        let end = self.staged_end();
+        self.file.write(&[directories.bytes()], self.end)?;
+        self.pointer.link(self.end);
         if let Err(error) = self.pointer.write(&mut self.file) {
             // It may have reached the file or not: the old end of the chain is tried again, the group stays.
             self.pointer.link(0);
             let _ = self.pointer.write(&mut self.file);
-            self.end = group.end;
+            self.end = end;
+            self.staged = 0;
             return Err(error);
         }
-        self.pages += group.pages;
-        self.end = group.end;
-        self.pointer = group.pointer;
+        self.pages += self.staged;
+        self.end = end;
+        self.staged = 0;
+        self.pointer = pointer;
         Ok(())
+    }
+
+    /// Where the pixels of the staged group begin.
+    fn pixels_at(&self) -> u64 {
+        self.end + self.staged.div_ceil(IFDS_PER_BLOCK as u64) * PAGE as u64
+    }
+
+    /// Where the staged group ends.
+    fn staged_end(&self) -> u64 {
+        self.pixels_at() + self.staged * stride(&self.camera)
     }
 
     /// Gives back all room behind the published groups.
@@ -141,20 +148,20 @@ impl TiffFile {
     }
 
     /// The directories of a group as whole blocks, and where the chain ends in them.
-    fn directories(&self, group: &[Staged<'_>]) -> (Aligned, Pointer) {
+    fn directories(&self, group: &[FactsBytes]) -> (Aligned, Pointer) {
         let num_blocks = group.len().div_ceil(IFDS_PER_BLOCK);
         let mut blocks = Aligned::zeroed(num_blocks * PAGE);
-        let pixels_at = self.end + (num_blocks * PAGE) as u64;
+        let pixels_at = self.pixels_at();
         let place = |index: usize| index / IFDS_PER_BLOCK * PAGE + index % IFDS_PER_BLOCK * IFD_BYTES;
         let mut end_at = 0;
-        for (index, staged) in group.iter().enumerate() {
+        for (index, facts) in group.iter().enumerate() {
             let is_last = index + 1 == group.len();
             let ifd = Ifd {
                 camera: &self.camera,
                 offset: self.end + place(index) as u64,
                 pixels: pixels_at + index as u64 * stride(&self.camera),
                 next: if is_last { 0 } else { self.end + place(index + 1) as u64 },
-                facts: staged.facts,
+                facts,
                 has_description: self.pages == 0 && index == 0,
             };
             let bytes = &mut blocks.bytes_mut()[place(index)..place(index) + IFD_BYTES];

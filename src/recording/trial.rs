@@ -4,7 +4,8 @@
 //! Never: leaves the trial behind. Fails: [`RecordingError`] in the words of the disk.
 
 use super::RecordingError;
-use super::direct::{Aligned, DirectFile, Gate};
+use super::direct::{Aligned, DirectFile};
+use super::gate::Gate;
 use std::fs;
 use std::path::Path;
 use std::time::Instant;

@@ -4,8 +4,9 @@
 //! Never: decides what a failure means. Fails: [`RecordingError`]; what was published stays.
 
 use super::RecordingError;
-use super::direct::{Aligned, DirectFile, Gate, PAGE};
+use super::direct::{Aligned, DirectFile, PAGE};
 use super::facts::FactsBytes;
+use super::gate::Gate;
 use super::metadata::{Format, Metadata};
 use super::sync::SyncFile;
 use super::tiff::TiffFile;
@@ -17,12 +18,6 @@ use std::sync::Arc;
 
 /// Frames that are no whole pages are copied in portions of about this size.
 const BOUNCE_BYTES: usize = 1 << 20;
-
-/// A frame to write.
-pub(super) struct Staged<'a> {
-    pub(super) pixels: &'a [u8],
-    pub(super) facts: &'a FactsBytes,
-}
 
 /// The images of one camera.
 #[derive(Debug)]
@@ -49,17 +44,19 @@ impl ImageWriter {
         }
     }
 
-    pub(super) fn stage(&mut self, group: &[Staged<'_>]) -> Result<(), RecordingError> {
+    /// Writes the pixels of a group; readers do not see them yet.
+    pub(super) fn stage(&mut self, group: &[&[u8]]) -> Result<(), RecordingError> {
         match self {
             Self::Tiff { file, .. } => file.stage(group),
             Self::Zarr(array) => array.stage(group),
         }
     }
 
-    pub(super) fn publish(&mut self) -> Result<(), RecordingError> {
+    /// Makes readers see the staged group, with the facts of each frame.
+    pub(super) fn publish(&mut self, facts: &[FactsBytes]) -> Result<(), RecordingError> {
         match self {
-            Self::Tiff { file, .. } => file.publish(),
-            Self::Zarr(array) => array.publish(),
+            Self::Tiff { file, .. } => file.publish(facts),
+            Self::Zarr(array) => array.publish(facts),
         }
     }
 
@@ -136,22 +133,17 @@ impl Bounce {
     }
 }
 
-/// Writes `lead`, whole pages, and behind it the frames, each at the begin of a page.
+/// Writes frames, each at the begin of a page.
 pub(super) fn write_frames(
     file: &mut DirectFile,
-    lead: &[u8],
     frames: &[&[u8]],
     offset: u64,
     bounce: &mut Bounce,
 ) -> Result<(), RecordingError> {
     if bounce.memory.bytes().is_empty() {
-        let slices: Vec<&[u8]> = std::iter::once(lead).chain(frames.iter().copied()).collect();
-        return file.write(&slices, offset);
+        return file.write(frames, offset);
     }
-    if !lead.is_empty() {
-        file.write(&[lead], offset)?;
-    }
-    let mut at = offset + lead.len() as u64;
+    let mut at = offset;
     for portion in frames.chunks(bounce.memory.bytes().len() / bounce.stride) {
         let len = portion.len() * bounce.stride;
         let places = bounce.memory.bytes_mut().chunks_exact_mut(bounce.stride);

@@ -2,21 +2,24 @@
 //!
 //! ```text
 //! zarr.json           a group with OME metadata
-//! 0/zarr.json         the array; its shape names the published frames and no more
+//! 0/zarr.json         the array; its shape names the published frames and no more, in eight bytes written at once
 //! 0/c/K/0/0           shard K: index, checksum and facts in the first 4 KiB, then the frames, each on whole pages
 //! ```
 //!
-//! In: groups of frames with their facts. Out: shards, then their indices, then the shape, renamed into place.
+//! In: groups of frames with their facts. Out: shards, then their indices, then the shape, in place.
 //! Never: names a frame in the shape before it is in its shard. Fails: [`RecordingError`]; the shape is then as before.
 
 use super::RecordingError;
-use super::direct::{Aligned, DirectFile, Gate, Operation, PAGE};
-use super::facts::FACTS_BYTES;
+use super::direct::{Aligned, DirectFile, PAGE};
+use super::facts::{FACTS_BYTES, FactsBytes};
+use super::gate::{Change, Gate, Operation};
 use super::metadata::{CameraDescription, stride};
 use super::sync::SyncFile;
-use super::writer::{Bounce, Staged, sync_file, write_frames};
+use super::writer::{Bounce, sync_file, write_frames};
 use serde_json::{Value, json};
 use std::fs;
+use std::io::Write;
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -26,6 +29,11 @@ pub(super) const SHARD_FRAMES: u64 = 64;
 pub(super) const INDEX_BYTES: usize = 16 * SHARD_FRAMES as usize;
 /// Where the facts begin in the first page.
 pub(super) const FACTS_AT: usize = INDEX_BYTES + 8;
+
+/// Where the number of frames stands in the metadata of the array.
+const SHAPE_AT: usize = 16;
+/// And how long it is; more frames are not recorded.
+const SHAPE_DIGITS: usize = 8;
 
 /// An array under way.
 #[derive(Debug)]
@@ -38,7 +46,10 @@ pub(super) struct ZarrArray {
     staged: u64,
     /// Shards written to since the last publication and the one that has room, in order.
     shards: Vec<Shard>,
-    finished: Vec<SyncFile>,
+    /// Full shards and new directories: to be synced once more.
+    changed: Vec<SyncFile>,
+    /// The metadata of the array, of which the shape changes.
+    shape: SyncFile,
 }
 
 #[derive(Debug)]
@@ -56,30 +67,41 @@ impl ZarrArray {
         camera: &CameraDescription,
         gate: Gate,
     ) -> Result<Self, RecordingError> {
-        let make = |path: &Path| {
+        let inner = directory.join("0");
+        for path in [directory, &inner] {
             gate.pass(Operation::Write, path)
                 .and_then(|()| fs::create_dir(path))
-                .map_err(|source| RecordingError::storage(path, "create", source))
-        };
-        make(directory)?;
-        make(&directory.join("0"))?;
-        let array = Self {
+                .map_err(|source| RecordingError::storage(path, "create", source))?;
+            gate.note(Change::Directory, path);
+        }
+        write_text(
+            &directory.join("zarr.json"),
+            &format!("{:#}\n", group_metadata(directory, camera)),
+            &gate,
+        )?;
+        let path = inner.join("zarr.json");
+        write_text(&path, &array_text(camera, 0), &gate)?;
+        let shape = fs::OpenOptions::new()
+            .write(true)
+            .open(&path)
+            .map_err(|source| RecordingError::storage(&path, "open", source))?;
+        super::direct::sync_directory(&inner, &gate)?;
+        super::direct::sync_directory(directory, &gate)?;
+        Ok(Self {
             directory: directory.to_path_buf(),
             camera: camera.clone(),
             bounce: Bounce::for_frames(camera.frame_bytes()),
             pages: 0,
             staged: 0,
             shards: Vec::new(),
-            finished: Vec::new(),
+            changed: Vec::new(),
+            shape: Arc::new((path, shape)),
             gate,
-        };
-        write_json(&directory.join("zarr.json"), &group_metadata(directory, camera), &array.gate)?;
-        write_shape(directory, camera, 0, &array.gate)?;
-        Ok(array)
+        })
     }
 
-    /// Writes a group; readers do not see it yet.
-    pub(super) fn stage(&mut self, group: &[Staged<'_>]) -> Result<(), RecordingError> {
+    /// Writes the pixels of a group; readers do not see it yet.
+    pub(super) fn stage(&mut self, group: &[&[u8]]) -> Result<(), RecordingError> {
         let mut page = self.pages;
         let mut left = group;
         while !left.is_empty() {
@@ -93,35 +115,49 @@ impl ZarrArray {
         Ok(())
     }
 
-    fn stage_in_shard(&mut self, page: u64, group: &[Staged<'_>]) -> Result<(), RecordingError> {
+    fn stage_in_shard(&mut self, page: u64, group: &[&[u8]]) -> Result<(), RecordingError> {
         let number = page / SHARD_FRAMES;
         if self.shards.last().is_none_or(|shard| shard.number != number) {
+            self.create_directories(number)?;
             self.shards.push(Shard::create(&self.directory, number, self.gate.clone())?);
         }
-        let frame_bytes = self.camera.frame_bytes() as u64;
         let stride = stride(&self.camera);
         let Some(shard) = self.shards.last_mut() else { return Ok(()) };
         let slot = page % SHARD_FRAMES;
         let offset = PAGE as u64 + slot * stride;
         let whole = PAGE as u64 + SHARD_FRAMES * stride;
         shard.file.reserve(offset + group.len() as u64 * stride, whole);
-        let frames: Vec<&[u8]> = group.iter().map(|staged| staged.pixels).collect();
-        write_frames(&mut shard.file, &[], &frames, offset, &mut self.bounce)?;
-        for (index, staged) in group.iter().enumerate() {
-            let slot = slot as usize + index;
-            let at = PAGE as u64 + slot as u64 * stride;
-            let bytes = shard.first_page.bytes_mut();
-            bytes[16 * slot..16 * slot + 8].copy_from_slice(&at.to_le_bytes());
-            bytes[16 * slot + 8..16 * slot + 16].copy_from_slice(&frame_bytes.to_le_bytes());
-            bytes[FACTS_AT + slot * FACTS_BYTES..][..FACTS_BYTES].copy_from_slice(staged.facts);
+        write_frames(&mut shard.file, group, offset, &mut self.bounce)
+    }
+
+    /// Creates the directories of a shard, which become durable with it.
+    fn create_directories(&mut self, number: u64) -> Result<(), RecordingError> {
+        let chunks = self.directory.join("0/c");
+        let of_shard = chunks.join(number.to_string());
+        let mut parent = self.directory.join("0");
+        for path in [chunks, of_shard.clone(), of_shard.join("0")] {
+            let created =
+                self.gate.pass(Operation::Write, &path).and_then(|()| match fs::create_dir(&path) {
+                    Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => Ok(()),
+                    outcome => outcome.inspect(|()| self.gate.note(Change::Directory, &path)),
+                });
+            created.map_err(|source| RecordingError::storage(&path, "create", source))?;
+            self.changed.push(sync_file(&parent)?);
+            parent = path;
         }
+        self.changed.push(sync_file(&parent)?);
         Ok(())
     }
 
-    /// Writes the indices, then the shape.
-    pub(super) fn publish(&mut self) -> Result<(), RecordingError> {
+    /// Writes the indices with the facts of each staged frame, then the shape.
+    pub(super) fn publish(&mut self, facts: &[FactsBytes]) -> Result<(), RecordingError> {
         if self.staged == self.pages {
             return Ok(());
+        }
+        for (page, facts) in (self.pages..self.staged).zip(facts) {
+            if let Some(shard) = self.shards.iter_mut().find(|shard| shard.number == page / SHARD_FRAMES) {
+                shard.enter((page % SHARD_FRAMES) as usize, &self.camera, facts);
+            }
         }
         for shard in &mut self.shards {
             let bytes = shard.first_page.bytes_mut();
@@ -129,14 +165,29 @@ impl ZarrArray {
             bytes[INDEX_BYTES..INDEX_BYTES + 4].copy_from_slice(&checksum.to_le_bytes());
             shard.file.write(&[shard.first_page.bytes()], 0)?;
         }
-        write_shape(&self.directory, &self.camera, self.staged, &self.gate)?;
+        self.write_shape(self.staged)?;
         self.pages = self.staged;
         for shard in &mut self.shards {
             shard.is_published = true;
         }
         let open = self.pages / SHARD_FRAMES;
         let finished: Vec<Shard> = self.shards.extract_if(.., |shard| shard.number < open).collect();
-        self.finished.extend(finished.into_iter().map(|shard| shard.sync));
+        self.changed.extend(finished.into_iter().map(|shard| shard.sync));
+        Ok(())
+    }
+
+    /// Declares `pages` frames: eight digits, within one sector and one word, so that no reader sees half of them.
+    fn write_shape(&self, pages: u64) -> Result<(), RecordingError> {
+        let (path, file) = &*self.shape;
+        let digits = format!("{pages:>SHAPE_DIGITS$}");
+        let written = if digits.len() > SHAPE_DIGITS {
+            Err(std::io::ErrorKind::FileTooLarge.into())
+        } else {
+            let write = || file.write_all_at(digits.as_bytes(), SHAPE_AT as u64);
+            self.gate.pass(Operation::Write, path).and_then(|()| write())
+        };
+        written.map_err(|source| RecordingError::storage(path, "write", source))?;
+        self.gate.note(Change::Bytes(SHAPE_AT as u64, digits.as_bytes()), path);
         Ok(())
     }
 
@@ -150,10 +201,11 @@ impl ZarrArray {
                 shard.file.cut(end)
             } else {
                 let path = shard.file.path();
-                fs::remove_file(path).map_err(|source| RecordingError::storage(path, "remove", source))
+                let removed = fs::remove_file(path).inspect(|()| self.gate.note(Change::Removed, path));
+                removed.map_err(|source| RecordingError::storage(path, "remove", source))
             };
             if shard.is_published {
-                self.finished.push(shard.sync);
+                self.changed.push(shard.sync);
             }
             outcome = outcome.and(cut);
         }
@@ -179,11 +231,11 @@ impl ZarrArray {
 
     pub(super) fn sync_files(&self) -> Vec<SyncFile> {
         let open = self.shards.iter().map(|shard| &shard.sync);
-        self.finished.iter().chain(open).map(Arc::clone).collect()
+        self.changed.iter().chain(open).chain([&self.shape]).map(Arc::clone).collect()
     }
 
     pub(super) fn sync_requested(&mut self) {
-        self.finished.clear();
+        self.changed.clear();
     }
 
     /// Where the frames of the open shard end.
@@ -195,15 +247,19 @@ impl ZarrArray {
 impl Shard {
     fn create(directory: &Path, number: u64, gate: Gate) -> Result<Self, RecordingError> {
         let path = shard_path(directory, number);
-        if let Some(parent) = path.parent() {
-            gate.pass(Operation::Write, parent)
-                .and_then(|()| fs::create_dir_all(parent))
-                .map_err(|source| RecordingError::storage(parent, "create", source))?;
-        }
         let file = DirectFile::create(&path, gate)?;
         let mut first_page = Aligned::zeroed(PAGE);
         first_page.bytes_mut()[..INDEX_BYTES].fill(u8::MAX);
         Ok(Self { number, file, sync: sync_file(&path)?, first_page, is_published: false })
+    }
+
+    /// Enters a frame that is written into index and facts.
+    fn enter(&mut self, slot: usize, camera: &CameraDescription, facts: &FactsBytes) {
+        let at = PAGE as u64 + slot as u64 * stride(camera);
+        let bytes = self.first_page.bytes_mut();
+        bytes[16 * slot..16 * slot + 8].copy_from_slice(&at.to_le_bytes());
+        bytes[16 * slot + 8..16 * slot + 16].copy_from_slice(&(camera.frame_bytes() as u64).to_le_bytes());
+        bytes[FACTS_AT + slot * FACTS_BYTES..][..FACTS_BYTES].copy_from_slice(facts);
     }
 }
 
@@ -211,14 +267,13 @@ pub(super) fn shard_path(directory: &Path, number: u64) -> PathBuf {
     directory.join(format!("0/c/{number}/0/0"))
 }
 
-/// Declares `pages` frames, all at once or not at all.
-pub(super) fn write_shape(
+/// Writes the metadata of a whole array with `pages` frames again.
+pub(super) fn rewrite_shape(
     directory: &Path,
     camera: &CameraDescription,
     pages: u64,
-    gate: &Gate,
 ) -> Result<(), RecordingError> {
-    write_json(&directory.join("0/zarr.json"), &array_metadata(camera, pages), gate)
+    write_text(&directory.join("0/zarr.json"), &array_text(camera, pages), &Gate::default())
 }
 
 /// Makes metadata durable after the last frame.
@@ -228,20 +283,41 @@ pub(super) fn sync_metadata(directory: &Path, gate: &Gate) -> Result<(), Recordi
         gate.pass(Operation::Sync, &path)
             .and_then(|()| fs::File::open(&path)?.sync_all())
             .map_err(|source| RecordingError::storage(&path, "sync", source))?;
+        gate.note(Change::Synced, &path);
     }
     super::direct::sync_directory(&directory.join("0"), gate)?;
     super::direct::sync_directory(directory, gate)
 }
 
-fn write_json(path: &Path, value: &Value, gate: &Gate) -> Result<(), RecordingError> {
+/// A durable file that is there whole or not at all.
+fn write_text(path: &Path, text: &str, gate: &Gate) -> Result<(), RecordingError> {
     let new = path.with_extension("json.new");
-    gate.pass(Operation::Write, path)
-        .and_then(|()| fs::write(&new, format!("{value:#}\n")))
-        .and_then(|()| fs::rename(&new, path))
-        .map_err(|source| {
+    let write = || {
+        let mut file = fs::File::create(&new)?;
+        file.write_all(text.as_bytes())?;
+        file.sync_all()
+    };
+    gate.pass(Operation::Write, path).and_then(|()| write()).and_then(|()| fs::rename(&new, path)).map_err(
+        |source| {
             let _ = fs::remove_file(&new);
             RecordingError::storage(path, "write", source)
-        })
+        },
+    )?;
+    gate.note(Change::Created, path);
+    gate.note(Change::Bytes(0, text.as_bytes()), path);
+    gate.note(Change::Synced, path);
+    Ok(())
+}
+
+/// The metadata of an array with the first number of its shape in a fixed place.
+fn array_text(camera: &CameraDescription, pages: u64) -> String {
+    let mut others = array_metadata(camera, pages);
+    if let Some(others) = others.as_object_mut() {
+        others.remove("shape");
+    }
+    let (begin, width) = ("{\"shape\":[", SHAPE_AT + SHAPE_DIGITS - "{\"shape\":[".len());
+    let others = format!("{others:#}\n");
+    format!("{begin}{pages:>width$},{},{}],{}", camera.height(), camera.width(), &others[1..])
 }
 
 /// The array of one camera, as Zarr 3 describes it.

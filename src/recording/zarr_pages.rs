@@ -4,11 +4,12 @@
 //! Never: reads a shard whole. Fails: [`RecordingError`] with file and field.
 
 use super::RecordingError;
-use super::direct::Gate;
-use super::facts::{FACTS_BYTES, FactsBytes};
-use super::metadata::{CameraDescription, read_text};
+use super::facts::{self, FACTS_BYTES, FactsBytes};
+use super::metadata::{CameraDescription, read_text, stride};
+use super::reader::checksum;
 use super::tiff_pages::MAX_PAGES;
-use super::zarr::{FACTS_AT, INDEX_BYTES, SHARD_FRAMES, array_metadata, shard_path, write_shape};
+use super::zarr::{FACTS_AT, INDEX_BYTES, SHARD_FRAMES, array_metadata, rewrite_shape, shard_path};
+use sofiscope_hal::Channel;
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
@@ -61,7 +62,19 @@ impl ZarrPages {
     /// Leaves the frames from `pages` on out of the shape, in memory and in the file.
     pub(super) fn keep(&mut self, pages: u64, camera: &CameraDescription) -> Result<(), RecordingError> {
         self.pages = pages;
-        write_shape(&self.directory, camera, pages, &Gate::default())
+        rewrite_shape(&self.directory, camera, pages)
+    }
+
+    /// Writes the index of each shard again whose checksum is wrong, from the frames that are there.
+    pub(super) fn mend(&self, camera: &CameraDescription, channel: Channel) -> Result<(), RecordingError> {
+        for number in 0..self.pages.div_ceil(SHARD_FRAMES) {
+            if let Err(RecordingError::Damaged { .. }) = OpenShard::open(&self.directory, number) {
+                let path = shard_path(&self.directory, number);
+                mend_index(&path, camera, channel)
+                    .map_err(|source| RecordingError::storage(&path, "write the index of", source))?;
+            }
+        }
+        Ok(())
     }
 
     pub(super) fn len(&self) -> u64 {
@@ -128,4 +141,31 @@ impl OpenShard {
         }
         Ok(Self { number, path, file, first_page, len })
     }
+}
+
+/// Writes an index of those frames whose pixels have the checksum in their facts.
+fn mend_index(path: &Path, camera: &CameraDescription, channel: Channel) -> std::io::Result<()> {
+    let file = File::options().read(true).write(true).open(path)?;
+    if file.metadata()?.len() < PAGE as u64 {
+        file.set_len(PAGE as u64)?;
+    }
+    let mut page = [0; PAGE];
+    file.read_exact_at(&mut page, 0)?;
+    page[..INDEX_BYTES].fill(u8::MAX);
+    let mut pixels = vec![0; camera.frame_bytes()];
+    for slot in 0..SHARD_FRAMES as usize {
+        let mut bytes = [0; FACTS_BYTES];
+        bytes.copy_from_slice(&page[FACTS_AT + slot * FACTS_BYTES..][..FACTS_BYTES]);
+        let offset = PAGE as u64 + slot as u64 * stride(camera);
+        let expected = facts::decode(&bytes, channel, 0).as_ref().and_then(checksum);
+        let is_read = file.read_exact_at(&mut pixels, offset).is_ok();
+        if bytes != [0; FACTS_BYTES] && is_read && expected == Some(crc32c::crc32c(&pixels)) {
+            page[16 * slot..16 * slot + 8].copy_from_slice(&offset.to_le_bytes());
+            page[16 * slot + 8..16 * slot + 16].copy_from_slice(&(pixels.len() as u64).to_le_bytes());
+        }
+    }
+    let of_index = crc32c::crc32c(&page[..INDEX_BYTES]);
+    page[INDEX_BYTES..INDEX_BYTES + 4].copy_from_slice(&of_index.to_le_bytes());
+    file.write_all_at(&page, 0)?;
+    file.sync_all()
 }

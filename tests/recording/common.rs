@@ -8,7 +8,8 @@ use sofiscope_hal::{
     BlockId, CameraIdentity, CameraSettings, Channel, DeviceTime, Epoch, ExposureIndex, FrameInfo,
     FrameStatus, HostTime, Region, TriggerMode,
 };
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 pub(crate) const FORMATS: [Format; 2] = [Format::OmeTiff, Format::OmeZarr];
@@ -126,4 +127,19 @@ pub(crate) fn assert_true_to_exposures(run: &mut RecordedRun, height: u32, width
         }
     }
     rows.len() as u64 / 2
+}
+
+/// Every file below a directory with its bytes.
+pub(crate) fn contents(directory: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(directory).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(contents(&path));
+        } else {
+            let bytes = std::fs::read(&path).unwrap();
+            found.insert(path, bytes);
+        }
+    }
+    found
 }

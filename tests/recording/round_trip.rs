@@ -1,12 +1,11 @@
 //! What goes in comes out, in both formats.
 
-use crate::common::{FORMATS, assert_true_to_exposures, exposure, plan, stop};
+use crate::common::{FORMATS, assert_true_to_exposures, contents, exposure, plan, stop};
 use sofiscope::acquisition::{RowState, Side};
 use sofiscope::files::ImageStack;
 use sofiscope::recording::{Format, Outcome, Recording, RecordingError, StopStatus, export, open, recover};
 use sofiscope_hal::Channel;
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 const SIZES: [(u32, u32); 3] = [(40, 57), (64, 64), (1, 3)];
 
@@ -20,21 +19,6 @@ fn record(directory: &Path, format: Format, (height, width): (u32, u32), exposur
     }
     let summary = recording.finish(stop()).unwrap();
     assert_eq!((summary.exposures, summary.stop), (exposures, stop()));
-}
-
-/// Every file below a directory with its bytes.
-fn contents(directory: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    for entry in std::fs::read_dir(directory).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            found.extend(contents(&path));
-        } else {
-            let bytes = std::fs::read(&path).unwrap();
-            found.insert(path, bytes);
-        }
-    }
-    found
 }
 
 #[test]

@@ -1,14 +1,15 @@
-//! Recordings in the programs that others use: tifffile and zarr-python, where they are installed.
+//! Recordings in the programs that others use: tifffile and Pillow, zarr-python and tensorstore, where they are installed.
 
 use crate::common::{FORMATS, exposure, plan, stop};
 use sofiscope::recording::{Recording, open};
 use std::path::PathBuf;
 use std::process::Command;
 
-/// Names a python that has tifffile and zarr; `python3` otherwise.
+/// Names a python that has them; `python3` otherwise.
 const PYTHON: &str = "SOFISCOPE_TEST_PYTHON";
 
-/// Prints a line per image: path, number of frames, wrong frames. Skipped formats print `skipped`.
+/// Prints two lines per image, one per reader: path, reader, number of frames, wrong frames.
+/// Readers that are not there print `skipped`.
 const SCRIPT: &str = r#"
 import sys, numpy as np
 tables = {}
@@ -27,7 +28,7 @@ def pixels(channel, exposure, n):
     out = ((factor * seed + term) >> np.uint64(48)).astype(np.uint16)
     out[0], out[1], out[2] = channel + 1, exposure & 0xffff, exposure >> 16
     return out
-def check(path, frames, channel):
+def check(path, reader, frames, channel):
     wrong, last = 0, -1
     for frame in frames:
         flat = np.asarray(frame).reshape(-1)
@@ -35,25 +36,38 @@ def check(path, frames, channel):
         if flat[0] != channel + 1 or exposure <= last or not (flat == pixels(channel, exposure, flat.size)).all():
             wrong += 1
         last = exposure
-    print(path, len(frames), wrong)
+    print(path, reader, len(frames), wrong)
+def with_tifffile(path):
+    import tifffile
+    with tifffile.TiffFile(path) as tif:
+        if tif.is_ome:
+            assert len(tif.series) == 1 and tif.series[0].size == sum(page.size for page in tif.pages), path
+        return [page.asarray() for page in tif.pages]
+def with_pillow(path):
+    from PIL import Image
+    with Image.open(path) as image:
+        frames = []
+        for page in range(image.n_frames):
+            image.seek(page)
+            frames.append(np.array(image, np.uint16))
+        return frames
+def with_zarr(path):
+    import zarr
+    return zarr.open_group(path, mode='r')['0'][:]
+def with_tensorstore(path):
+    import tensorstore
+    spec = {'driver': 'zarr3', 'kvstore': {'driver': 'file', 'path': path + '/0'}}
+    return tensorstore.open(spec, read=True).result().read().result()
 for path in sys.argv[1:]:
     channel = 1 if 'transmission' in path else 0
-    try:
-        if path.endswith('.tif'):
-            import tifffile
-        else:
-            import zarr
-    except ImportError:
-        print('skipped', path)
-        continue
-    if path.endswith('.tif'):
-        with tifffile.TiffFile(path) as tif:
-            check(path, [page.asarray() for page in tif.pages], channel)
-            if tif.is_ome:
-                assert len(tif.series) == 1 and tif.series[0].size == sum(page.size for page in tif.pages), path
-    else:
-        array = zarr.open_group(path, mode='r')['0']
-        check(path, array[:], channel)
+    for reader in [with_tifffile, with_pillow] if path.endswith('.tif') else [with_zarr, with_tensorstore]:
+        name = reader.__name__.removeprefix('with_')
+        try:
+            frames = reader(path)
+        except ImportError:
+            print('skipped', path, name)
+            continue
+        check(path, name, frames, channel)
 "#;
 
 /// Opens recordings with stock readers; frames and pixels must be those of the recording.
@@ -75,16 +89,22 @@ pub(crate) fn assert_open(directories: &[PathBuf], height: u32, width: u32) {
     };
     let said = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    let lines: Vec<&str> = said.lines().collect();
+    assert_eq!(lines.len(), 2 * images.len(), "{said}");
     let mut skipped = 0;
-    for ((path, frames), line) in images.iter().zip(said.lines()) {
-        if line.starts_with("skipped") {
-            skipped += 1;
-            continue;
+    for ((path, frames), lines) in images.iter().zip(lines.chunks_exact(2)) {
+        let is_tiff = path.extension().is_some_and(|ending| ending == "tif");
+        let readers = if is_tiff { ["tifffile", "pillow"] } else { ["zarr", "tensorstore"] };
+        for (line, reader) in lines.iter().zip(readers) {
+            if line.starts_with("skipped") {
+                skipped += 1;
+                continue;
+            }
+            assert_eq!(*line, format!("{} {reader} {frames} 0", path.display()), "{height} x {width}");
         }
-        assert_eq!(line, format!("{} {frames} 0", path.display()), "{height} x {width}");
     }
     if skipped > 0 {
-        println!("skipped: {skipped} of {} images, {python} has no reader for them", images.len());
+        println!("skipped: {skipped} of {} readings, {python} has no such reader", 2 * images.len());
     }
 }
 

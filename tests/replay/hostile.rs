@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 const MOST_BYTES: u64 = 256 << 20;
+const MOST_TIME: Duration = Duration::from_secs(1);
 /// Inputs per reader; the long run has more.
 const MUTATIONS: u64 = 400;
 /// Frames larger than this are opened and not read.
@@ -136,11 +137,20 @@ fn attempt(paths: &[PathBuf]) -> Result<(), String> {
 
 /// As `attempt`, within the limits and with a message that names the file.
 fn bounded(corpus: &Corpus, what: &str) -> Result<(), String> {
-    let begun = Instant::now();
     let mut outcome = Ok(());
-    let used = measure(|| outcome = attempt(&corpus.paths));
-    let took = begun.elapsed();
-    assert!(took < Duration::from_secs(1), "{what}: {took:?}");
+    let mut took = Duration::MAX;
+    let mut used = None;
+    // On a busy computer anything may take a second once; what is slow by itself is slow every time.
+    for _ in 0..3 {
+        let begun = Instant::now();
+        used = Some(measure(|| outcome = attempt(&corpus.paths)));
+        took = took.min(begun.elapsed());
+        if took < MOST_TIME {
+            break;
+        }
+    }
+    assert!(took < MOST_TIME, "{what}: {took:?}");
+    let used = used.unwrap();
     assert!(used.bytes_max < MOST_BYTES, "{what}: {} bytes", used.bytes_max);
     if let Err(said) = &outcome {
         let names = said.contains(&corpus.folder.path().display().to_string());
@@ -187,12 +197,14 @@ fn mutate(bytes: &[u8], dice: &mut Dice) -> Vec<u8> {
     bytes
 }
 
-fn run(mutations: u64) {
-    for (name, corpus) in corpora() {
+/// Damages the files of every reader whose name contains `wanted`.
+fn run(mutations: u64, wanted: &str) {
+    for (name, corpus) in corpora().into_iter().filter(|(name, _)| name.contains(wanted)) {
         bounded(&corpus, name).unwrap();
         let whole: Vec<Vec<u8>> = corpus.files.iter().map(|file| fs::read(file).unwrap()).collect();
         let mut refused = 0;
-        for seed in 0..mutations {
+        let first: u64 = std::env::var("REPLAY_FIRST").map_or(0, |first| first.parse().unwrap());
+        for seed in first..first + mutations {
             let mut dice = Dice(0x9e37_79b9_7f4a_7c15 ^ (seed + 1));
             let number = dice.roll(corpus.files.len() as u64) as usize;
             fs::write(&corpus.files[number], mutate(&whole[number], &mut dice)).unwrap();
@@ -207,14 +219,15 @@ fn run(mutations: u64) {
 
 #[test]
 fn damaged_files_end_in_a_sentence() {
-    run(MUTATIONS);
+    run(MUTATIONS, "");
 }
 
 #[test]
-#[ignore = "minutes: 10^5 damaged inputs per reader, or as many as REPLAY_MUTATIONS says"]
+#[ignore = "minutes: 10^5 damaged inputs per reader, or as many as REPLAY_MUTATIONS says; REPLAY_READER names one, REPLAY_FIRST the first input"]
 fn very_many_damaged_files_end_in_a_sentence() {
     let wanted = std::env::var("REPLAY_MUTATIONS").ok();
-    run(wanted.map_or(100_000, |number| number.parse().expect("REPLAY_MUTATIONS is a number")));
+    let reader = std::env::var("REPLAY_READER").unwrap_or_default();
+    run(wanted.map_or(100_000, |number| number.parse().expect("REPLAY_MUTATIONS is a number")), &reader);
 }
 
 /// Every frame of both cameras.
