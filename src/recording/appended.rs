@@ -4,7 +4,8 @@
 //! Never: moves its end for what was not written whole. Fails: [`RecordingError`].
 
 use super::RecordingError;
-use super::direct::{Gate, Operation};
+use super::gate::{Change, Gate, Operation};
+use super::sync::SyncFile;
 use rustix::fs::{FallocateFlags, fallocate};
 use std::fs::{File, OpenOptions};
 use std::os::unix::fs::FileExt;
@@ -26,6 +27,7 @@ impl Appended {
             .pass(Operation::Write, &path)
             .and_then(|()| OpenOptions::new().write(true).create_new(true).open(&path))
             .map_err(|source| RecordingError::storage(&path, "create", source))?;
+        gate.note(Change::Created, &path);
         Ok(Self { file, path, gate, end: 0 })
     }
 
@@ -61,8 +63,14 @@ impl Appended {
             let _ = self.file.set_len(self.end);
             RecordingError::storage(&self.path, "write", source)
         })?;
+        self.gate.note(Change::Bytes(self.end, bytes), &self.path);
         self.end += bytes.len() as u64;
         Ok(())
+    }
+
+    /// For syncing while lines are appended.
+    pub(super) fn sync_file(&self) -> Result<SyncFile, RecordingError> {
+        super::writer::sync_file(&self.path)
     }
 
     /// Gives back what was reserved and makes the file durable.
@@ -71,6 +79,9 @@ impl Appended {
             .set_len(self.end)
             .and_then(|()| self.gate.pass(Operation::Sync, &self.path))
             .and_then(|()| self.file.sync_all())
-            .map_err(|source| RecordingError::storage(&self.path, "sync", source))
+            .map_err(|source| RecordingError::storage(&self.path, "sync", source))?;
+        self.gate.note(Change::Length(self.end), &self.path);
+        self.gate.note(Change::Synced, &self.path);
+        Ok(())
     }
 }

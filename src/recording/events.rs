@@ -5,10 +5,8 @@
 
 use super::RecordingError;
 use super::appended::Appended;
-use super::direct::Gate;
-use super::gate::{Change, Gate, Operation};
+use super::gate::Gate;
 use super::sync::SyncFile;
-use rustix::fs::{FallocateFlags, fallocate};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -86,15 +84,6 @@ impl EventLog {
         let file = Appended::create(directory.join(EVENTS), gate)?;
         file.reserve(RESERVE);
         Ok(Self(file))
-        let path = directory.join(EVENTS);
-        let file = gate
-            .pass(Operation::Write, &path)
-            .and_then(|()| OpenOptions::new().write(true).create_new(true).open(&path))
-            .map_err(|source| RecordingError::storage(&path, "create", source))?;
-        gate.note(Change::Created, &path);
-        // A disk that cannot reserve still writes.
-        let _ = fallocate(&file, FallocateFlags::KEEP_SIZE, 0, RESERVE);
-        Ok(Self { file, path, gate, end: 0 })
     }
 
     /// Opens the log of a crashed recording behind its last whole line; without a file, a new one.
@@ -107,34 +96,16 @@ impl EventLog {
         let line = serde_json::to_string(event)
             .map_err(|error| RecordingError::storage(Path::new(EVENTS), "write", error.into()))?;
         self.0.append((line + "\n").as_bytes())
-        let failed = |source| RecordingError::storage(&self.path, "write", source);
-        let mut line = serde_json::to_vec(event).map_err(|error| failed(error.into()))?;
-        line.push(b'\n');
-        self.gate
-            .pass(Operation::Write, &self.path)
-            .and_then(|()| self.file.write_all_at(&line, self.end))
-            .map_err(failed)?;
-        self.gate.note(Change::Bytes(self.end, &line), &self.path);
-        self.end += line.len() as u64;
-        Ok(())
     }
 
     /// For syncing while events are written.
     pub(super) fn sync_file(&self) -> Result<SyncFile, RecordingError> {
-        super::writer::sync_file(&self.path)
+        self.0.sync_file()
     }
 
     /// Gives back what was reserved and makes the log durable.
     pub(super) fn close(self) -> Result<(), RecordingError> {
         self.0.close()
-        self.file
-            .set_len(self.end)
-            .and_then(|()| self.gate.pass(Operation::Sync, &self.path))
-            .and_then(|()| self.file.sync_all())
-            .map_err(|source| RecordingError::storage(&self.path, "sync", source))?;
-        self.gate.note(Change::Length(self.end), &self.path);
-        self.gate.note(Change::Synced, &self.path);
-        Ok(())
     }
 }
 

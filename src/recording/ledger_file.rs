@@ -6,8 +6,7 @@
 
 use super::RecordingError;
 use super::appended::Appended;
-use super::direct::Gate;
-use super::gate::{Change, Gate, Operation};
+use super::gate::Gate;
 use super::sync::SyncFile;
 use crate::acquisition::LedgerRow;
 use std::path::Path;
@@ -30,12 +29,6 @@ pub(super) struct LedgerFile {
 impl LedgerFile {
     pub(super) fn create(directory: &Path, gate: Gate) -> Result<Self, RecordingError> {
         let file = Appended::create(directory.join(LEDGER), gate)?;
-        let path = directory.join(LEDGER);
-        let file = gate
-            .pass(Operation::Write, &path)
-            .and_then(|()| OpenOptions::new().write(true).create_new(true).open(&path))
-            .map_err(|source| RecordingError::storage(&path, "create", source))?;
-        gate.note(Change::Created, &path);
         let waiting = LedgerRow::header() + "\n";
         let mut ledger = Self { file, reserved: 0, waiting };
         ledger.write(&[])?;
@@ -57,17 +50,6 @@ impl LedgerFile {
             self.reserved = self.file.end();
             return Err(error);
         }
-        self.gate
-            .pass(Operation::Write, &self.path)
-            .and_then(|()| self.file.write_all_at(self.waiting.as_bytes(), self.end))
-            .map_err(|source| {
-                // No half line stays; if not even that works, readers leave a torn line out.
-                let _ = self.file.set_len(self.end);
-                self.reserved = self.end;
-                RecordingError::storage(&self.path, "write", source)
-            })?;
-        self.gate.note(Change::Bytes(self.end, self.waiting.as_bytes()), &self.path);
-        self.end += self.waiting.len() as u64;
         self.waiting.clear();
         Ok(())
     }
@@ -82,19 +64,11 @@ impl LedgerFile {
 
     /// For syncing while the ledger is written.
     pub(super) fn sync_file(&self) -> Result<SyncFile, RecordingError> {
-        super::writer::sync_file(&self.path)
+        self.file.sync_file()
     }
 
     /// Gives back what was reserved and makes the ledger durable.
     pub(super) fn close(self) -> Result<(), RecordingError> {
         self.file.close()
-        self.file
-            .set_len(self.end)
-            .and_then(|()| self.gate.pass(Operation::Sync, &self.path))
-            .and_then(|()| self.file.sync_all())
-            .map_err(|source| RecordingError::storage(&self.path, "sync", source))?;
-        self.gate.note(Change::Length(self.end), &self.path);
-        self.gate.note(Change::Synced, &self.path);
-        Ok(())
     }
 }

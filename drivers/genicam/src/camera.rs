@@ -176,7 +176,8 @@ impl GenicamCamera {
         if let Some(stream) = stream.downcast_ref::<GvStream>() {
             stream.set_socket_buffer(GvStreamSocketBuffer::Fixed);
             stream.set_socket_buffer_size(advice::SOCKET_BUFFER.cast_signed());
-            let resend = if self.settings.resend { GvStreamPacketResend::Always } else { GvStreamPacketResend::Never };
+            let resend =
+                if self.settings.resend { GvStreamPacketResend::Always } else { GvStreamPacketResend::Never };
             stream.set_packet_resend(resend);
         }
         let payload = connection.camera.payload()? as usize;
@@ -191,7 +192,8 @@ impl GenicamCamera {
     fn id_rule(&self, connection: &Connection) -> IdRule {
         let extended = connection.device.string_feature_value("GevGVSPExtendedIDMode");
         let is_short = connection.camera.is_gv_device() && !extended.is_ok_and(|mode| mode == "On");
-        let rule = if is_short { IdRule::GIGE_VISION_16_BIT } else { IdRule { first: None, ..IdRule::FROM_ZERO } };
+        let rule =
+            if is_short { IdRule::GIGE_VISION_16_BIT } else { IdRule { first: None, ..IdRule::FROM_ZERO } };
         IdRule { first: self.settings.first_block_id.map(sofiscope_hal::BlockId), ..rule }
     }
 }
@@ -225,7 +227,8 @@ impl Camera for GenicamCamera {
             Err(cause) => {
                 if let Some(before) = &self.configured {
                     // The first fault is the one to tell; a second one shows when the camera is armed.
-                    let _restored = configuring::apply(&connection.camera, &connection.device, source, before);
+                    let _restored =
+                        configuring::apply(&connection.camera, &connection.device, source, before);
                 }
                 Err(self.told("configuring", &cause))
             }
@@ -281,7 +284,8 @@ impl Properties for GenicamCamera {
 
     fn set_property(&mut self, name: &str, value: &PropertyValue) -> Result<(), DeviceError> {
         let device = &self.connected()?.device;
-        properties::check(device, name, value).map_err(|message| self.error(ErrorKind::OutOfRange, message))?;
+        properties::check(device, name, value)
+            .map_err(|message| self.error(ErrorKind::OutOfRange, message))?;
         properties::set(device, name, value).map_err(|cause| self.told(&format!("setting {name}"), &cause))
     }
 }

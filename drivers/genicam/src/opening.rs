@@ -107,10 +107,12 @@ fn find(settings: &GenicamSettings) -> Result<(String, Option<Ipv4Addr>), Device
     }
     let serial = &settings.serial;
     let (kind, message) = if found.is_empty() {
-        let message = format!("no camera answers, and serial number {serial} was expected; check cable and power");
+        let message =
+            format!("no camera answers, and serial number {serial} was expected; check cable and power");
         (ErrorKind::Lost, message)
     } else {
-        let others: Vec<String> = found.iter().map(|camera| format!("{} ({})", camera.serial, camera.model)).collect();
+        let others: Vec<String> =
+            found.iter().map(|camera| format!("{} ({})", camera.serial, camera.model)).collect();
         let others = others.join(", ");
         (ErrorKind::Identity, format!("serial number {serial} was expected, but only these answer: {others}"))
     };

@@ -181,7 +181,8 @@ impl GenicamStream {
         match self.newest {
             Some((newest, time)) if time_ns == 0 => {
                 // Past the wrap the counter skips 0, hence 65535 ids to a turn.
-                let ahead = if id.0 >= newest.0 { id.0 - newest.0 } else { (id.0 + 65_535).saturating_sub(newest.0) };
+                let ahead =
+                    if id.0 >= newest.0 { id.0 - newest.0 } else { (id.0 + 65_535).saturating_sub(newest.0) };
                 let period_ns = u64::try_from(self.settings.period.as_nanos()).unwrap_or(u64::MAX);
                 DeviceTime(time.0.wrapping_add(ahead.wrapping_mul(period_ns)))
             }
@@ -225,8 +226,12 @@ impl GenicamStream {
                 self.probe.as_mut()?.ask();
                 return None;
             }
-            Advice::Gone => format!("sent no frame for {silence_ms} ms, and its control channel does not answer"),
-            Advice::ControlLost => "control of the camera was lost: it did not hear from this program in time".into(),
+            Advice::Gone => {
+                format!("sent no frame for {silence_ms} ms, and its control channel does not answer")
+            }
+            Advice::ControlLost => {
+                "control of the camera was lost: it did not hear from this program in time".into()
+            }
         };
         self.is_lost.store(true, Relaxed);
         let next = "check cable and power; configuring it again opens it again";

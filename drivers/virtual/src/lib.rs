@@ -17,8 +17,8 @@
 //!
 //! Models are pure ([`LineModel`](sofiscope_serial_line::LineModel)): a test talks to them without a terminal.
 
-pub mod laser;
 pub mod gige;
+pub mod laser;
 pub mod log;
 pub mod pty;
 pub mod stage;

@@ -11,7 +11,8 @@ use std::time::{Duration, Instant};
 use sofiscope_genicam::{GenicamCamera, GenicamSettings};
 use sofiscope_hal::conformance::CameraRig;
 use sofiscope_hal::{
-    Camera, CameraSettings, DeviceError, ErrorKind, FrameInfo, FrameStream, Region, TriggerMode, TriggerSource,
+    Camera, CameraSettings, DeviceError, ErrorKind, FrameInfo, FrameStream, Region, TriggerMode,
+    TriggerSource,
 };
 use sofiscope_virtual::gige::{Exposure, GigeCamera, GigeRecord, GigeSettings};
 use sofiscope_virtual::table::{OpticalTable, Quantity};
@@ -154,7 +155,8 @@ pub fn next(stream: &mut dyn FrameStream, counts: &mut [u16]) -> Result<FrameInf
     let begun = Instant::now();
     loop {
         match stream.next_frame(counts, Duration::from_millis(50)) {
-            Err(error) if error.kind() == ErrorKind::Timeout && begun.elapsed() < Duration::from_secs(10) => {}
+            Err(error) if error.kind() == ErrorKind::Timeout && begun.elapsed() < Duration::from_secs(10) => {
+            }
             answer => return answer,
         }
     }

@@ -16,18 +16,18 @@
 
 mod focus_drive;
 mod frames;
-mod stage;
-mod laser;
 #[cfg(test)]
 mod gate_tests;
 mod gates;
+mod laser;
+mod stage;
 mod states;
 #[cfg(test)]
 mod tests;
 
-pub use stage::{StageRig, stage};
-pub use laser::{LaserRig, laser};
 pub use gates::{GateRig, gates};
+pub use laser::{LaserRig, laser};
+pub use stage::{StageRig, stage};
 
 use std::time::Duration;
 
