@@ -101,7 +101,7 @@ const DRIVERS: [(&str, &[&str]); 17] = [
     ("focus-sensor", &["sofiscope_hal", "sofiscope_virtual"]),
     ("gated-laser", &["sofiscope_hal", "sofiscope_virtual"]),
     ("gatekeeper", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
-    ("genicam", &["sofiscope_hal"]),
+    ("genicam", &["sofiscope_hal", "sofiscope_virtual"]),
     ("hal", &[]),
     ("laserquantum-smd12", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
     ("madlib", &["sofiscope_hal"]),
@@ -116,7 +116,7 @@ const DRIVERS: [(&str, &[&str]); 17] = [
 ];
 
 /// Files that may hold `unsafe` code, each with its reason.
-const UNSAFE: [(&str, &str); 2] = [
+const UNSAFE: [(&str, &str); 3] = [
     (
         "src/sofi/cumulant/prefetch.rs",
         "the prefetch instruction has no safe form; it can neither fault nor change a value",
@@ -124,6 +124,10 @@ const UNSAFE: [(&str, &str); 2] = [
     (
         "drivers/virtual/src/table/cells.rs",
         "memory that several processes share has no safe form; all access is atomic",
+    ),
+    (
+        "drivers/genicam/src/raw.rs",
+        "the binding of Aravis gives the bytes of a buffer as a pointer, and no serial numbers of cameras",
     ),
 ];
 

@@ -6,7 +6,11 @@ pub(crate) const SOCKET_BUFFER: u32 = 64 << 20;
 const JUMBO: u32 = 8000;
 
 /// What is to be improved; `receive_limit` is `net.core.rmem_max`.
-pub(crate) fn sentences(receive_limit: Option<u32>, packet_size: Option<u32>, can_resend: bool) -> Vec<String> {
+pub(crate) fn sentences(
+    receive_limit: Option<u32>,
+    packet_size: Option<u32>,
+    can_resend: bool,
+) -> Vec<String> {
     let mut advice = Vec::new();
     if let Some(limit) = receive_limit.filter(|&limit| limit < SOCKET_BUFFER) {
         advice.push(format!(

@@ -6,16 +6,16 @@ use std::time::{Duration, Instant};
 
 use aravis::glib;
 use aravis::glib::object::Cast;
-use aravis::prelude::{CameraExt, CameraExtManual, DeviceExt, StreamExt};
+use aravis::prelude::{CameraExt, CameraExtManual, DeviceExt};
 use aravis::{Buffer, GvStream, GvStreamPacketResend, GvStreamSocketBuffer};
 use sofiscope_hal::{
-    Camera, CameraCapabilities, CameraIdentity, CameraSettings, DeviceError, ErrorKind, ExposureNumbering,
-    FrameStream, IdRule, Properties, Property, PropertyValue,
+    Camera, CameraCapabilities, CameraIdentity, CameraSettings, DeviceError, ErrorKind, FrameStream, IdRule,
+    Properties, Property, PropertyValue,
 };
 
 use crate::opening::{self, Connection};
 use crate::probe::Probe;
-use crate::stream::{GenicamStream, Parts};
+use crate::stream::{GenicamStream, Parts, give};
 use crate::watchdog::Watchdog;
 use crate::{GenicamSettings, advice, configuring, properties};
 
@@ -94,8 +94,7 @@ impl GenicamCamera {
     /// As [`Self::open`].
     pub fn reconnect(&mut self) -> Result<(), DeviceError> {
         self.mark_stopped();
-        // Control is given back, or found to be lost, before it is asked for again.
-        self.connection = None;
+        self.hang_up();
         let connection = Connection::open(&self.settings)?;
         self.capabilities = connection.capabilities.clone();
         self.identity = connection.identity.clone();
@@ -165,6 +164,12 @@ impl GenicamCamera {
         }
     }
 
+    fn hang_up(&mut self) {
+        if let Some(connection) = self.connection.take() {
+            opening::let_go(connection.is_lost.load(Relaxed), connection);
+        }
+    }
+
     fn mark_stopped(&mut self) {
         self.is_armed = false;
         self.shared.is_stopped.store(true, Relaxed);
@@ -176,13 +181,14 @@ impl GenicamCamera {
         if let Some(stream) = stream.downcast_ref::<GvStream>() {
             stream.set_socket_buffer(GvStreamSocketBuffer::Fixed);
             stream.set_socket_buffer_size(advice::SOCKET_BUFFER.cast_signed());
-            let resend = if self.settings.resend { GvStreamPacketResend::Always } else { GvStreamPacketResend::Never };
+            let resend =
+                if self.settings.resend { GvStreamPacketResend::Always } else { GvStreamPacketResend::Never };
             stream.set_packet_resend(resend);
         }
         let payload = connection.camera.payload()? as usize;
         let buffers = (BUFFER_BYTES / payload.max(1)).clamp(FEWEST_BUFFERS, MOST_BUFFERS);
         for _ in 0..buffers {
-            stream.push_buffer(Buffer::new_allocate(payload));
+            give(&stream, Buffer::new_allocate(payload));
         }
         Ok(stream)
     }
@@ -191,7 +197,8 @@ impl GenicamCamera {
     fn id_rule(&self, connection: &Connection) -> IdRule {
         let extended = connection.device.string_feature_value("GevGVSPExtendedIDMode");
         let is_short = connection.camera.is_gv_device() && !extended.is_ok_and(|mode| mode == "On");
-        let rule = if is_short { IdRule::GIGE_VISION_16_BIT } else { IdRule { first: None, ..IdRule::FROM_ZERO } };
+        let rule =
+            if is_short { IdRule::GIGE_VISION_16_BIT } else { IdRule { first: None, ..IdRule::FROM_ZERO } };
         IdRule { first: self.settings.first_block_id.map(sofiscope_hal::BlockId), ..rule }
     }
 }
@@ -225,7 +232,8 @@ impl Camera for GenicamCamera {
             Err(cause) => {
                 if let Some(before) = &self.configured {
                     // The first fault is the one to tell; a second one shows when the camera is armed.
-                    let _restored = configuring::apply(&connection.camera, &connection.device, source, before);
+                    let _restored =
+                        configuring::apply(&connection.camera, &connection.device, source, before);
                 }
                 Err(self.told("configuring", &cause))
             }
@@ -249,7 +257,7 @@ impl Camera for GenicamCamera {
             device: self.device(),
             settings,
             layout: connection.layout,
-            numbering: ExposureNumbering::new(self.id_rule(connection), settings.period),
+            rule: self.id_rule(connection),
             watchdog: Watchdog::new(settings.period, Instant::now()),
             // Without a socket of its own the heartbeat of Aravis alone tells that a camera is gone.
             probe: connection.address.and_then(|address| Probe::open(address).ok()),
@@ -281,7 +289,8 @@ impl Properties for GenicamCamera {
 
     fn set_property(&mut self, name: &str, value: &PropertyValue) -> Result<(), DeviceError> {
         let device = &self.connected()?.device;
-        properties::check(device, name, value).map_err(|message| self.error(ErrorKind::OutOfRange, message))?;
+        properties::check(device, name, value)
+            .map_err(|message| self.error(ErrorKind::OutOfRange, message))?;
         properties::set(device, name, value).map_err(|cause| self.told(&format!("setting {name}"), &cause))
     }
 }
@@ -290,6 +299,7 @@ impl Drop for GenicamCamera {
     fn drop(&mut self) {
         // Nobody is left to be told; the camera stops by itself when its heartbeat runs out.
         let _stopped = self.stop();
+        self.hang_up();
     }
 }
 

@@ -35,7 +35,9 @@ pub(crate) fn check(able: &CameraCapabilities, want: &CameraSettings) -> Result<
     {
         let fits = first.checked_add(length).is_some_and(|end| end <= most);
         if length == 0 || !fits {
-            return Err(format!("a region of {length} {what} from {first} is not on the sensor, which has {most}"));
+            return Err(format!(
+                "a region of {length} {what} from {first} is not on the sensor, which has {most}"
+            ));
         }
         if !first.is_multiple_of(step) || !length.is_multiple_of(step) {
             return Err(format!("{length} {what} from {first} are no multiples of {step}"));
@@ -91,7 +93,8 @@ fn set_region(device: &aravis::Device, region: Region) -> Result<(), glib::Error
 
 fn region(device: &aravis::Device) -> Result<Region, glib::Error> {
     let length = |name| Ok::<_, glib::Error>(u32::try_from(device.integer_feature_value(name)?).unwrap_or(0));
-    let offset = |name| device.integer_feature_value(name).ok().and_then(|value| value.try_into().ok()).unwrap_or(0);
+    let offset =
+        |name| device.integer_feature_value(name).ok().and_then(|value| value.try_into().ok()).unwrap_or(0);
     Ok(Region {
         left: offset("OffsetX"),
         top: offset("OffsetY"),
@@ -101,7 +104,11 @@ fn region(device: &aravis::Device) -> Result<Region, glib::Error> {
 }
 
 /// Sets the rate as near as the camera can; returns its shortest period.
-fn set_rate(camera: &aravis::Camera, device: &aravis::Device, period: Duration) -> Result<Duration, glib::Error> {
+fn set_rate(
+    camera: &aravis::Camera,
+    device: &aravis::Device,
+    period: Duration,
+) -> Result<Duration, glib::Error> {
     if !camera.is_frame_rate_available()? {
         return Ok(Duration::ZERO);
     }

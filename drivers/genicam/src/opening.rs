@@ -94,6 +94,16 @@ impl Connection {
     }
 }
 
+/// Drops what belongs to a camera. With one that is gone, Aravis waits some seconds for an answer when it gives control
+/// back; nobody shall wait with it.
+pub(crate) fn let_go<T: Send + 'static>(is_lost: bool, belongings: T) {
+    if is_lost {
+        // Where no thread can be had, the belongings are dropped here, with the failed attempt.
+        let _dropped =
+            std::thread::Builder::new().name("genicam-let-go".into()).spawn(move || drop(belongings));
+    }
+}
+
 /// What Aravis opens the camera by, and its address.
 fn find(settings: &GenicamSettings) -> Result<(String, Option<Ipv4Addr>), DeviceError> {
     if let Find::At(address) = settings.find {
@@ -107,10 +117,12 @@ fn find(settings: &GenicamSettings) -> Result<(String, Option<Ipv4Addr>), Device
     }
     let serial = &settings.serial;
     let (kind, message) = if found.is_empty() {
-        let message = format!("no camera answers, and serial number {serial} was expected; check cable and power");
+        let message =
+            format!("no camera answers, and serial number {serial} was expected; check cable and power");
         (ErrorKind::Lost, message)
     } else {
-        let others: Vec<String> = found.iter().map(|camera| format!("{} ({})", camera.serial, camera.model)).collect();
+        let others: Vec<String> =
+            found.iter().map(|camera| format!("{} ({})", camera.serial, camera.model)).collect();
         let others = others.join(", ");
         (ErrorKind::Identity, format!("serial number {serial} was expected, but only these answer: {others}"))
     };

@@ -155,7 +155,9 @@ fn property(device: &Device, name: &str, owner: Owner) -> Option<Property> {
     };
     let unit = unit.map(|unit| unit.to_string()).unwrap_or_default();
     let reading = Property::reading(name, value, unit);
-    let may = owner == Owner::Person && device.feature_access_mode(name) == GcAccessMode::Rw;
+    // Aravis 0.8.26 calls what can be read and written `Wo`.
+    let takes = matches!(device.feature_access_mode(name), GcAccessMode::Rw | GcAccessMode::Wo);
+    let may = owner == Owner::Person && takes;
     Some(if may { reading.writable(range) } else { Property { range, ..reading } })
 }
 

@@ -1,5 +1,8 @@
 //! The calls into Aravis that have no safe form in its Rust binding.
-#![expect(unsafe_code, reason = "the binding gives the bytes of a buffer as a pointer, and no serial numbers")]
+#![expect(
+    unsafe_code,
+    reason = "the binding gives the bytes of a buffer as a pointer, and no serial numbers"
+)]
 
 use std::ffi::{CStr, c_char, c_uint};
 use std::sync::{Mutex, PoisonError};

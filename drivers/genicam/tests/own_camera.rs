@@ -3,7 +3,6 @@
 
 mod bench;
 
-use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use bench::{Fake, Pulses, Rig, SERIAL, address, count_of, driver, next, settings};
@@ -55,7 +54,8 @@ fn the_contract_is_kept_when_free_running() {
 #[test]
 fn the_contract_is_kept_with_pulses_on_a_line() {
     let table = OpticalTable::private().unwrap();
-    let _fake = Fake::start(GigeSettings { table: Some(table.clone()), ..GigeSettings::new(address(2, 1), SERIAL) });
+    let _fake =
+        Fake::start(GigeSettings { table: Some(table.clone()), ..GigeSettings::new(address(2, 1), SERIAL) });
     let mut pulses = Pulses::new(table);
     conformance::trigger(&mut pulses, Duration::from_millis(5));
     let settings = sofiscope_hal::CameraSettings { trigger: TriggerMode::External, ..settings(64, 48, 10) };
@@ -138,7 +138,8 @@ fn whole_frames_that_are_missing_leave_gaps_and_nothing_moves() {
 
 #[test]
 fn packets_in_disorder_and_twice_change_nothing() {
-    let faults = GigeFaults { shuffled_packets: 6, doubled_packets_per_thousand: 100, ..GigeFaults::default() };
+    let faults =
+        GigeFaults { shuffled_packets: 6, doubled_packets_per_thousand: 100, ..GigeFaults::default() };
     let _fake = Fake::start(GigeSettings { faults, ..GigeSettings::new(address(7, 1), SERIAL) });
     let frames = frames(&mut open(driver(address(7, 1))), 200);
     for (exposure, info) in (0..).zip(&frames) {
@@ -149,7 +150,11 @@ fn packets_in_disorder_and_twice_change_nothing() {
 #[test]
 fn a_counter_that_restarts_begins_an_epoch() {
     let faults = GigeFaults { restart_ids_at: Some(20), ..GigeFaults::default() };
-    let _fake = Fake::start(GigeSettings { first_block_id: 30_000, faults, ..GigeSettings::new(address(8, 1), SERIAL) });
+    let _fake = Fake::start(GigeSettings {
+        first_block_id: 30_000,
+        faults,
+        ..GigeSettings::new(address(8, 1), SERIAL)
+    });
     let frames = frames(&mut open(driver(address(8, 1))), 40);
     let found: Vec<(u64, u32)> = frames.iter().map(|info| (info.exposure.0, info.epoch.0)).collect();
     let expected: Vec<(u64, u32)> = (0..40).map(|exposure| (exposure, u32::from(exposure >= 20))).collect();
@@ -264,7 +269,8 @@ fn a_missed_pulse_shows_in_times_and_pixels() {
     let table = OpticalTable::private().unwrap();
     let faults = GigeFaults { missed_triggers: vec![7], ..GigeFaults::default() };
     let at = address(14, 1);
-    let _fake = Fake::start(GigeSettings { table: Some(table.clone()), faults, ..GigeSettings::new(at, SERIAL) });
+    let _fake =
+        Fake::start(GigeSettings { table: Some(table.clone()), faults, ..GigeSettings::new(at, SERIAL) });
     let settings = sofiscope_hal::CameraSettings { trigger: TriggerMode::External, ..settings(64, 48, 10) };
     let mut camera = open(driver(at));
     camera.configure(&settings).unwrap();

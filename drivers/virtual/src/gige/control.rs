@@ -62,7 +62,8 @@ impl GigeCamera {
     /// When the network fails.
     pub fn serve(self, over: &AtomicBool) -> io::Result<()> {
         let Self { settings, mut source, control, discovery, stream, record } = self;
-        let state = State { registers: Registers::new(&settings), controller: None, run: 0, software_pulses: 0 };
+        let state =
+            State { registers: Registers::new(&settings), controller: None, run: 0, software_pulses: 0 };
         let body = Body {
             settings,
             state: Mutex::new(state),

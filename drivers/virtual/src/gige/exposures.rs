@@ -2,8 +2,8 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::Ordering::Relaxed;
 use std::sync::PoisonError;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 use super::control::Body;
@@ -193,9 +193,11 @@ impl Pulses {
         let new = line.saturating_sub(self.line);
         if new > 0 {
             let apart = newest.saturating_sub(self.last) / u32::try_from(new).unwrap_or(u32::MAX);
-            self.waiting.extend((0..new).rev().map(|before| {
-                newest.saturating_sub(apart * u32::try_from(before).unwrap_or(u32::MAX))
-            }));
+            self.waiting.extend(
+                (0..new)
+                    .rev()
+                    .map(|before| newest.saturating_sub(apart * u32::try_from(before).unwrap_or(u32::MAX))),
+            );
         }
         // A trigger controller that was switched off and on counts from zero.
         (self.line, self.last) = (line, newest);

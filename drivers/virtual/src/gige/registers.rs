@@ -291,8 +291,10 @@ impl Registers {
 
     fn effect(&self, at: usize, value: u32) -> Result<Effect, Status> {
         let may = |allowed: bool| if allowed { Ok(Effect::None) } else { Err(Status::InvalidParameter) };
-        let shapes_frames =
-            matches!(at, feature::WIDTH | feature::HEIGHT | feature::LEFT | feature::TOP | feature::PIXEL_FORMAT);
+        let shapes_frames = matches!(
+            at,
+            feature::WIDTH | feature::HEIGHT | feature::LEFT | feature::TOP | feature::PIXEL_FORMAT
+        );
         if self.is_exposing && shapes_frames {
             return Err(Status::WriteProtect);
         }

@@ -91,7 +91,8 @@ impl<'a> Sending<'a> {
                 lost += 1;
                 continue;
             }
-            let copies = 1 + usize::from(happens(Chance::Doubling, number, faults.doubled_packets_per_thousand));
+            let copies =
+                1 + usize::from(happens(Chance::Doubling, number, faults.doubled_packets_per_thousand));
             self.order.extend(std::iter::repeat_n(number, copies));
         }
         if faults.shuffled_packets > 1 {

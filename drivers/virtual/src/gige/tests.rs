@@ -52,9 +52,14 @@ impl Bench {
 
     fn start(&mut self) {
         let port = self.stream.local_addr().unwrap().port();
-        for (address, value) in
-            [(0xA00, 2), (0xD00, port.into()), (0xD18, 0x7F00_0001), (0xD04, 1036), (0x8000, 32), (0x8004, 32)]
-        {
+        for (address, value) in [
+            (0xA00, 2),
+            (0xD00, port.into()),
+            (0xD18, 0x7F00_0001),
+            (0xD04, 1036),
+            (0x8000, 32),
+            (0x8004, 32),
+        ] {
             assert_eq!(self.write(address, value), 0, "{address:x}");
         }
         assert_eq!(self.write(0x8018, 1), 0);
@@ -96,9 +101,9 @@ fn frames_are_counted_past_the_wrap() {
     let mut bench = Bench::open(GigeSettings { first_block_id: 65_534, ..settings(2) });
     bench.start();
     // 2048 bytes of payload in packets of 1000.
-    let expected = [65_534, 65_535, 1, 2].into_iter().flat_map(|id| {
-        [(id, 1, 0), (id, 3, 1), (id, 3, 2), (id, 3, 3), (id, 2, 4)]
-    });
+    let expected = [65_534, 65_535, 1, 2]
+        .into_iter()
+        .flat_map(|id| [(id, 1, 0), (id, 3, 1), (id, 3, 2), (id, 3, 3), (id, 2, 4)]);
     for expected in expected {
         assert_eq!(bench.packet(), expected);
     }
