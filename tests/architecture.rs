@@ -127,7 +127,7 @@ const UNSAFE: [(&str, &str); 3] = [
     ),
     (
         "drivers/genicam/src/raw.rs",
-        "the binding of Aravis gives the bytes of a buffer as a pointer, and no serial numbers of cameras",
+        "bytes of buffers, serial numbers and sockets have no safe form in the binding of Aravis",
     ),
 ];
 

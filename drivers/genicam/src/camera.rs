@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use aravis::glib;
 use aravis::glib::object::Cast;
 use aravis::prelude::{CameraExt, CameraExtManual, DeviceExt};
-use aravis::{Buffer, GvStream, GvStreamPacketResend, GvStreamSocketBuffer};
+use aravis::{GvStream, GvStreamPacketResend, GvStreamSocketBuffer};
 use sofiscope_hal::{
     Camera, CameraCapabilities, CameraIdentity, CameraSettings, DeviceError, ErrorKind, FrameStream, IdRule,
     Properties, Property, PropertyValue,
@@ -17,7 +17,7 @@ use crate::opening::{self, Connection};
 use crate::probe::Probe;
 use crate::stream::{GenicamStream, Parts, give};
 use crate::watchdog::Watchdog;
-use crate::{GenicamSettings, advice, configuring, properties};
+use crate::{GenicamSettings, advice, configuring, properties, raw};
 
 /// Memory for frames that wait to be read.
 const BUFFER_BYTES: usize = 256 << 20;
@@ -184,11 +184,12 @@ impl GenicamCamera {
             let resend =
                 if self.settings.resend { GvStreamPacketResend::Always } else { GvStreamPacketResend::Never };
             stream.set_packet_resend(resend);
+            raw::enlarge_receive_buffer(stream.port(), advice::SOCKET_BUFFER);
         }
         let payload = connection.camera.payload()? as usize;
         let buffers = (BUFFER_BYTES / payload.max(1)).clamp(FEWEST_BUFFERS, MOST_BUFFERS);
         for _ in 0..buffers {
-            give(&stream, Buffer::new_allocate(payload));
+            give(&stream, raw::buffer(payload));
         }
         Ok(stream)
     }

@@ -257,7 +257,7 @@ fn advice_for(camera: &aravis::Camera, device: &aravis::Device, settings: &Genic
     }
     let capabilities = device.read_register(0x934).map_or(0, |(_, value)| value);
     let can_resend = !settings.resend || capabilities & CAN_RESEND != 0;
-    advice::sentences(advice::receive_limit(), camera.gv_get_packet_size().ok(), can_resend)
+    advice::sentences(advice::receive_buffers(), camera.gv_get_packet_size().ok(), can_resend)
 }
 
 #[cfg(test)]

@@ -51,7 +51,7 @@ enum Phase {
     Running,
     /// Stopped; frames may still be on their way since then.
     Finishing(Instant),
-    /// Nothing is received any more, what is there can be read.
+    /// Nothing comes any more, what is there can be read.
     Draining,
     Ended,
 }
@@ -123,10 +123,7 @@ impl GenicamStream {
         give(&self.stream, buffer);
         let status = status?;
         self.count(status);
-        match self.names.name(id, time_ns) {
-            Some(named) => Some(self.number(named, status)),
-            None => None,
-        }
+        self.names.name(id, time_ns).map(|named| self.number(named, status))
     }
 
     /// Copies the pixels, if they are all there.
@@ -175,16 +172,13 @@ impl GenicamStream {
 
     fn number(&mut self, named: Named, status: FrameStatus) -> Result<FrameInfo, DeviceError> {
         let Named { id, time } = named;
-        if self.numbering.is_none() {
+        let numbering = self.numbering.get_or_insert_with(|| {
             let before = self.names.nameless();
-            let rule = IdRule {
-                first: self.names.rule().first.or(before.first().map(|named| named.id)),
-                ..self.names.rule()
-            };
-            self.numbering = Some(ExposureNumbering::new(rule, self.settings.period));
+            let rule = self.names.rule();
+            let first = rule.first.or(before.first().map(|named| named.id));
             self.owed.extend(before);
-        }
-        let Some(numbering) = &mut self.numbering else { unreachable!("it was made above") };
+            ExposureNumbering::new(IdRule { first, ..rule }, self.settings.period)
+        });
         let (exposure, epoch) = numbering.exposure_of(id, time).map_err(|error| {
             DeviceError::new(
                 ErrorKind::Protocol,
@@ -201,7 +195,6 @@ impl GenicamStream {
             Phase::Running if self.shared.is_stopped.load(Relaxed) => self.phase = Phase::Finishing(now),
             Phase::Running => return self.watch(now),
             Phase::Finishing(since) if now.saturating_duration_since(since) >= AFTERMATH => {
-                self.stream.stop_thread(false);
                 self.look_at_counters();
                 self.phase = Phase::Draining;
             }
@@ -274,9 +267,6 @@ pub(crate) fn give(stream: &aravis::Stream, buffer: Buffer) {
 impl Drop for GenicamStream {
     fn drop(&mut self) {
         if let Some(camera) = self.camera.take() {
-            if matches!(self.phase, Phase::Running | Phase::Finishing(_)) {
-                self.stream.stop_thread(false);
-            }
             let_go(self.is_lost.load(Relaxed), (self.stream.clone(), camera));
         }
     }

@@ -22,19 +22,19 @@ fn open(settings: GenicamSettings) -> GenicamCamera {
 /// pixels, which know the exposure.
 fn frames(camera: &mut GenicamCamera, number: usize) -> Vec<FrameInfo> {
     let settings = settings(64, 48, 4);
-    camera.configure(&settings).unwrap();
-    let mut stream = camera.arm().unwrap();
+    camera.configure(&settings).expect("the camera answers");
+    let mut stream = camera.arm().expect("the camera answers");
     let mut counts = vec![0; settings.region.num_pixels()];
     let frames = (0..number)
         .map(|_| {
-            let info = next(stream.as_mut(), &mut counts).unwrap();
+            let info = next(stream.as_mut(), &mut counts).expect("the camera answers");
             if info.status == FrameStatus::Complete {
                 assert_pixels(&info, &counts);
             }
             info
         })
         .collect();
-    camera.stop().unwrap();
+    camera.stop().expect("the camera answers");
     frames
 }
 
@@ -183,8 +183,8 @@ fn a_stall_is_told_with_what_to_check() {
 /// A camera that is lost while it exposes, and how long that took to be noticed.
 fn lost(camera: &mut GenicamCamera, mut unplug: impl FnMut()) -> Duration {
     let settings = settings(64, 48, 4);
-    camera.configure(&settings).unwrap();
-    let mut stream = camera.arm().unwrap();
+    camera.configure(&settings).expect("the camera answers");
+    let mut stream = camera.arm().expect("the camera answers");
     let mut counts = vec![0; settings.region.num_pixels()];
     (0..5).for_each(|_| assert!(next(stream.as_mut(), &mut counts).is_ok()));
     unplug();

@@ -325,7 +325,7 @@ impl Registers {
             | feature::SENSOR_HEIGHT
             | feature::PTP_STATUS
             | feature::TEMPERATURE => Err(Status::WriteProtect),
-            feature::BEGIN..feature::END => Ok(Effect::None),
+            other if (feature::BEGIN..feature::END).contains(&other) => Ok(Effect::None),
             _ => Err(Status::WriteProtect),
         }
     }
