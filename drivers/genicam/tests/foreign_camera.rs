@@ -30,7 +30,8 @@ fn inside(test: &str) -> bool {
     let has = |tool: &str| {
         Command::new("which").arg(tool).stdout(Stdio::null()).status().is_ok_and(|s| s.success())
     };
-    let missing: Vec<&str> = [FAKE, "unshare", "ip"].into_iter().filter(|tool| !has(tool)).collect();
+    let missing: Vec<&str> =
+        [FAKE, "unshare", "ip", "valgrind"].into_iter().filter(|tool| !has(tool)).collect();
     if !missing.is_empty() {
         eprintln!("SKIPPED {test}: {} not installed", missing.join(", "));
         return false;
@@ -262,4 +263,23 @@ fn frames_with_lost_packets_are_never_called_complete() {
         }
     }
     assert!((10..150).contains(&incomplete), "{incomplete} of 200 frames of 26 packets at 1 % loss");
+}
+
+/// Everything that the driver does with two cameras, watched by valgrind; what is left at the exit is not judged, as
+/// GLib keeps its types.
+#[test]
+fn valgrind_finds_nothing_wrong() {
+    if !inside("valgrind_finds_nothing_wrong") {
+        return;
+    }
+    let own = std::env::current_exe().expect("a test knows its own program");
+    let watched = Command::new("valgrind")
+        .args(["--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=definite"])
+        .arg(own)
+        .args(["--exact", "two_processes_deliver_side_by_side", "--test-threads=1"])
+        .output()
+        .unwrap();
+    let report = String::from_utf8_lossy(&watched.stderr);
+    assert!(watched.status.success(), "{report}");
+    assert!(report.contains("ERROR SUMMARY: 0 errors"), "{report}");
 }

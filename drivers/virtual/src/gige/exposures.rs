@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use super::control::Body;
 use super::gvsp::{self, Packets};
-use super::registers::{Setup, Trigger};
 use super::sending::Sending;
+use super::setup::{Setup, Trigger};
 use super::{Damage, Exposure, Fate, FrameSource};
 use crate::table::Quantity;
 

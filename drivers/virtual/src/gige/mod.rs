@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `gvcp` | the control protocol: commands and acknowledgements |
 //! | `registers`, `camera.xml` | the camera's memory, and its GenICam description |
+//! | `setup` | what the registers ask the camera to do |
 //! | `control` | answers commands, knows who has control and for how long |
 //! | `exposures` | what starts exposures: the camera's own rate, pulses on the optical table, commands |
 //! | `gvsp`, `sending` | frames as packets, with everything that can happen to packets on their way |
@@ -22,6 +23,7 @@ mod gvsp;
 mod record;
 mod registers;
 mod sending;
+mod setup;
 #[cfg(test)]
 mod tests;
 
