@@ -224,6 +224,22 @@ fn a_camera_whose_control_channel_falls_silent_is_lost() {
 }
 
 #[test]
+fn a_camera_that_takes_control_away_is_lost_and_can_be_had_again() {
+    let at = address(18, 1);
+    let faults = GigeFaults { control_lost_at: Some(8), ..GigeFaults::default() };
+    let fake = Fake::start(GigeSettings { faults, ..GigeSettings::new(at, SERIAL) });
+    let mut camera = open(driver(at));
+    let took = lost(&mut camera, || {});
+    assert!(took < Duration::from_millis(1500), "{took:?}");
+    camera.reconnect().unwrap();
+    assert!(!camera.is_lost());
+    let mut stream = camera.arm().unwrap();
+    let mut counts = vec![0; 64 * 48];
+    let info = next(stream.as_mut(), &mut counts).unwrap();
+    assert_eq!((info.exposure.0, info.status), (0, FrameStatus::Complete), "{:?}", fake.record.damages());
+}
+
+#[test]
 fn another_camera_than_the_one_wanted_is_refused() {
     let _fake = Fake::start(GigeSettings::new(address(12, 1), "SIM-2"));
     let error = GenicamCamera::open(driver(address(12, 1))).unwrap_err();

@@ -80,6 +80,9 @@ impl Acquisition<'_> {
             if faults.silent_at.is_some_and(|at| index >= at) {
                 self.body.is_silent.store(true, Relaxed);
             }
+            if faults.control_lost_at == Some(index) {
+                self.body.lose_control();
+            }
             if faults.restart_ids_at == Some(index) {
                 self.block_id = 1;
             }

@@ -86,6 +86,8 @@ pub struct GigeFaults {
     pub stall_at: Option<u64>,
     /// From this exposure on neither frames nor answers are sent.
     pub silent_at: Option<u64>,
+    /// At this exposure the camera takes control away, as after a heartbeat that was missed, and stops.
+    pub control_lost_at: Option<u64>,
     /// At this exposure the counter begins with 1 again.
     pub restart_ids_at: Option<u64>,
     /// The camera does not send packets again.
