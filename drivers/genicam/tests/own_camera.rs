@@ -137,6 +137,15 @@ fn whole_frames_that_are_missing_leave_gaps_and_nothing_moves() {
 }
 
 #[test]
+fn a_lost_first_frame_is_noticed_where_its_id_is_known() {
+    let faults = GigeFaults { lost_frames: vec![0, 1], ..GigeFaults::default() };
+    let _fake = Fake::start(GigeSettings { faults, ..GigeSettings::new(address(19, 1), SERIAL) });
+    let settings = GenicamSettings { first_block_id: Some(65_400), ..driver(address(19, 1)) };
+    let found: Vec<u64> = frames(&mut open(settings), 4).iter().map(|info| info.exposure.0).collect();
+    assert_eq!(found, [2, 3, 4, 5]);
+}
+
+#[test]
 fn packets_in_disorder_and_twice_change_nothing() {
     let faults =
         GigeFaults { shuffled_packets: 6, doubled_packets_per_thousand: 100, ..GigeFaults::default() };
