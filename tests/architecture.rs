@@ -128,7 +128,7 @@ const DRIVERS: [(&str, &[&str]); 19] = [
     ("gated-laser", &["sofiscope_hal", "sofiscope_virtual"]),
     ("gatekeeper", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
     ("gatekeeper-core", &[]),
-    ("genicam", &["sofiscope_hal"]),
+    ("genicam", &["sofiscope_hal", "sofiscope_virtual"]),
     ("hal", &[]),
     ("laserquantum-smd12", &["sofiscope_hal", "sofiscope_serial_line", "sofiscope_virtual"]),
     ("madlib", &["sofiscope_hal", "sofiscope_madlib_stand_in", "sofiscope_virtual"]),
@@ -143,7 +143,7 @@ const DRIVERS: [(&str, &[&str]); 19] = [
 ];
 
 /// Files that may hold `unsafe` code, each with its reason.
-const UNSAFE: [(&str, &str); 9] = [
+const UNSAFE: [(&str, &str); 10] = [
     (
         "src/sofi/cumulant/prefetch.rs",
         "the prefetch instruction has no safe form; it can neither fault nor change a value",
@@ -162,6 +162,10 @@ const UNSAFE: [(&str, &str); 9] = [
     ("drivers/madlib/src/ffi.rs", "calls of Madlib, a library of the maker opened at run time"),
     ("drivers/madlib-stand-in/src/exports.rs", "C functions that take pointers, as Madlib has them"),
     ("drivers/madlib-stand-in/src/remote.rs", "calls the library of the same package as its users do"),
+    (
+        "drivers/genicam/src/raw.rs",
+        "bytes of buffers, serial numbers and sockets have no safe form in the binding of Aravis",
+    ),
 ];
 
 #[cfg(test)]

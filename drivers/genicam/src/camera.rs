@@ -6,18 +6,18 @@ use std::time::{Duration, Instant};
 
 use aravis::glib;
 use aravis::glib::object::Cast;
-use aravis::prelude::{CameraExt, CameraExtManual, DeviceExt, StreamExt};
-use aravis::{Buffer, GvStream, GvStreamPacketResend, GvStreamSocketBuffer};
+use aravis::prelude::{CameraExt, CameraExtManual, DeviceExt};
+use aravis::{GvStream, GvStreamPacketResend, GvStreamSocketBuffer};
 use sofiscope_hal::{
-    Camera, CameraCapabilities, CameraIdentity, CameraSettings, DeviceError, ErrorKind, ExposureNumbering,
-    FrameStream, IdRule, Properties, Property, PropertyValue,
+    Camera, CameraCapabilities, CameraIdentity, CameraSettings, DeviceError, ErrorKind, FrameStream, IdRule,
+    Properties, Property, PropertyValue,
 };
 
 use crate::opening::{self, Connection};
 use crate::probe::Probe;
-use crate::stream::{GenicamStream, Parts};
+use crate::stream::{GenicamStream, Parts, give};
 use crate::watchdog::Watchdog;
-use crate::{GenicamSettings, advice, configuring, properties};
+use crate::{GenicamSettings, advice, configuring, properties, raw};
 
 /// Memory for frames that wait to be read.
 const BUFFER_BYTES: usize = 256 << 20;
@@ -94,8 +94,7 @@ impl GenicamCamera {
     /// As [`Self::open`].
     pub fn reconnect(&mut self) -> Result<(), DeviceError> {
         self.mark_stopped();
-        // Control is given back, or found to be lost, before it is asked for again.
-        self.connection = None;
+        self.hang_up();
         let connection = Connection::open(&self.settings)?;
         self.capabilities = connection.capabilities.clone();
         self.identity = connection.identity.clone();
@@ -165,6 +164,12 @@ impl GenicamCamera {
         }
     }
 
+    fn hang_up(&mut self) {
+        if let Some(connection) = self.connection.take() {
+            opening::let_go(connection.is_lost.load(Relaxed), connection);
+        }
+    }
+
     fn mark_stopped(&mut self) {
         self.is_armed = false;
         self.shared.is_stopped.store(true, Relaxed);
@@ -179,11 +184,12 @@ impl GenicamCamera {
             let resend =
                 if self.settings.resend { GvStreamPacketResend::Always } else { GvStreamPacketResend::Never };
             stream.set_packet_resend(resend);
+            raw::enlarge_receive_buffer(stream.port(), advice::SOCKET_BUFFER);
         }
         let payload = connection.camera.payload()? as usize;
         let buffers = (BUFFER_BYTES / payload.max(1)).clamp(FEWEST_BUFFERS, MOST_BUFFERS);
         for _ in 0..buffers {
-            stream.push_buffer(Buffer::new_allocate(payload));
+            give(&stream, raw::buffer(payload));
         }
         Ok(stream)
     }
@@ -252,7 +258,7 @@ impl Camera for GenicamCamera {
             device: self.device(),
             settings,
             layout: connection.layout,
-            numbering: ExposureNumbering::new(self.id_rule(connection), settings.period),
+            rule: self.id_rule(connection),
             watchdog: Watchdog::new(settings.period, Instant::now()),
             // Without a socket of its own the heartbeat of Aravis alone tells that a camera is gone.
             probe: connection.address.and_then(|address| Probe::open(address).ok()),
@@ -294,6 +300,7 @@ impl Drop for GenicamCamera {
     fn drop(&mut self) {
         // Nobody is left to be told; the camera stops by itself when its heartbeat runs out.
         let _stopped = self.stop();
+        self.hang_up();
     }
 }
 

@@ -7,6 +7,7 @@
 //! | `configuring` | settings to features and back, each feature optional |
 //! | `properties` | the node map for the property browser |
 //! | `stream` | [`GenicamStream`]: frames into the caller's memory |
+//! | `naming` | ids and times of frames whose leader is lost |
 //! | `unpacking` | counts out of the bytes of a frame |
 //! | `watchdog`, `probe` | whether a silent camera is still there |
 //! | `advice` | what the person can do for a faster network |
@@ -22,6 +23,7 @@
 mod advice;
 mod camera;
 mod configuring;
+mod naming;
 mod opening;
 mod probe;
 mod properties;

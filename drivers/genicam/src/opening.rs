@@ -94,6 +94,16 @@ impl Connection {
     }
 }
 
+/// Drops what belongs to a camera. With one that is gone, Aravis waits some seconds for an answer when it gives control
+/// back; nobody shall wait with it.
+pub(crate) fn let_go<T: Send + 'static>(is_lost: bool, belongings: T) {
+    if is_lost {
+        // Where no thread can be had, the belongings are dropped here, with the failed attempt.
+        let _dropped =
+            std::thread::Builder::new().name("genicam-let-go".into()).spawn(move || drop(belongings));
+    }
+}
+
 /// What Aravis opens the camera by, and its address.
 fn find(settings: &GenicamSettings) -> Result<(String, Option<Ipv4Addr>), DeviceError> {
     if let Find::At(address) = settings.find {
@@ -247,7 +257,7 @@ fn advice_for(camera: &aravis::Camera, device: &aravis::Device, settings: &Genic
     }
     let capabilities = device.read_register(0x934).map_or(0, |(_, value)| value);
     let can_resend = !settings.resend || capabilities & CAN_RESEND != 0;
-    advice::sentences(advice::receive_limit(), camera.gv_get_packet_size().ok(), can_resend)
+    advice::sentences(advice::receive_buffers(), camera.gv_get_packet_size().ok(), can_resend)
 }
 
 #[cfg(test)]

@@ -143,11 +143,11 @@ fn property(device: &Device, name: &str, owner: Owner) -> Option<Property> {
         (PropertyValue::Flag(device.boolean_feature_value(name).ok()?), PropertyRange::Any, None)
     } else if let Some(float) = node.dynamic_cast_ref::<GcFloat>() {
         let value = PropertyValue::Number(device.float_feature_value(name).ok()?);
-        (value, between(device.float_feature_bounds(name)), float.unit())
+        (value, between(device.float_feature_bounds(name).ok()), float.unit())
     } else if let Some(integer) = node.dynamic_cast_ref::<GcInteger>() {
         let value = PropertyValue::Whole(device.integer_feature_value(name).ok()?);
         let bounds = device.integer_feature_bounds(name).map(|(least, most)| (least as f64, most as f64));
-        (value, between(bounds), integer.unit())
+        (value, between(bounds.ok()), integer.unit())
     } else if node.is::<GcString>() {
         (PropertyValue::Text(device.string_feature_value(name).ok()?.to_string()), PropertyRange::Any, None)
     } else {
@@ -155,13 +155,12 @@ fn property(device: &Device, name: &str, owner: Owner) -> Option<Property> {
     };
     let unit = unit.map(|unit| unit.to_string()).unwrap_or_default();
     let reading = Property::reading(name, value, unit);
-    let may = owner == Owner::Person && device.feature_access_mode(name) == GcAccessMode::Rw;
+    // Aravis 0.8.26 calls what can be read and written `Wo`.
+    let takes = matches!(device.feature_access_mode(name), GcAccessMode::Rw | GcAccessMode::Wo);
+    let may = owner == Owner::Person && takes;
     Some(if may { reading.writable(range) } else { Property { range, ..reading } })
 }
 
-fn between(bounds: Result<(f64, f64), glib::Error>) -> PropertyRange {
-    match bounds {
-        Ok((least, greatest)) => PropertyRange::Between { least, greatest },
-        Err(_) => PropertyRange::Any,
-    }
+fn between(bounds: Option<(f64, f64)>) -> PropertyRange {
+    bounds.map_or(PropertyRange::Any, |(least, greatest)| PropertyRange::Between { least, greatest })
 }

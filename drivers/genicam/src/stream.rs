@@ -4,6 +4,7 @@
 //! Never: allocates per frame; passes an incomplete frame for a complete one. Fails: as [`FrameStream`] says;
 //! `Timeout` names a stall and what may cause it, `Lost` comes within a second.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
@@ -12,11 +13,13 @@ use std::time::{Duration, Instant};
 use aravis::prelude::StreamExt;
 use aravis::{Buffer, BufferPayloadType, BufferStatus};
 use sofiscope_hal::{
-    BlockId, CameraSettings, DeviceError, DeviceTime, ErrorKind, ExposureNumbering, FrameInfo, FrameStatus,
-    FrameStream, TriggerMode,
+    CameraSettings, DeviceError, ErrorKind, ExposureNumbering, FrameInfo, FrameStatus, FrameStream, IdRule,
+    TriggerMode,
 };
 
 use crate::camera::{Shared, microseconds};
+use crate::naming::{MOST_NAMELESS, Named, Names, UNKNOWN};
+use crate::opening::let_go;
 use crate::probe::Probe;
 use crate::raw;
 use crate::unpacking::Layout;
@@ -35,7 +38,7 @@ pub(crate) struct Parts {
     pub(crate) device: String,
     pub(crate) settings: CameraSettings,
     pub(crate) layout: Layout,
-    pub(crate) numbering: ExposureNumbering,
+    pub(crate) rule: IdRule,
     pub(crate) watchdog: Watchdog,
     pub(crate) probe: Option<Probe>,
     pub(crate) is_lost: Arc<AtomicBool>,
@@ -48,27 +51,29 @@ enum Phase {
     Running,
     /// Stopped; frames may still be on their way since then.
     Finishing(Instant),
-    /// Nothing is received any more, what is there can be read.
+    /// Nothing comes any more, what is there can be read.
     Draining,
     Ended,
 }
 
 /// The frames of one armed GenICam camera.
 pub struct GenicamStream {
-    // The order of the fields is the order in which they go: the stream before the camera.
     stream: aravis::Stream,
-    _camera: aravis::Camera,
+    /// There until the stream is dropped, which goes before its camera.
+    camera: Option<aravis::Camera>,
     device: String,
     settings: CameraSettings,
     layout: Layout,
-    numbering: ExposureNumbering,
+    /// Begins with the first frame that tells its id.
+    numbering: Option<ExposureNumbering>,
     watchdog: Watchdog,
     probe: Option<Probe>,
     is_lost: Arc<AtomicBool>,
     shared: Arc<Shared>,
     phase: Phase,
-    /// Time of the newest frame that told one, for those whose leader is missing.
-    newest: Option<(BlockId, DeviceTime)>,
+    names: Names,
+    /// Frames without a leader that came before the first with one; their numbers are known since.
+    owed: VecDeque<Named>,
 }
 
 impl std::fmt::Debug for GenicamStream {
@@ -79,21 +84,23 @@ impl std::fmt::Debug for GenicamStream {
 
 impl GenicamStream {
     pub(crate) fn new(parts: Parts) -> Self {
-        let Parts { stream, camera, device, settings, layout, numbering, .. } = parts;
+        let Parts { stream, camera, device, settings, layout, .. } = parts;
         let Parts { watchdog, probe, is_lost, shared, .. } = parts;
+        let names = Names::new(parts.rule, settings.period);
         Self {
             stream,
-            _camera: camera,
+            camera: Some(camera),
             device,
             settings,
             layout,
-            numbering,
+            numbering: None,
             watchdog,
             probe,
             is_lost,
             shared,
             phase: Phase::Running,
-            newest: None,
+            names,
+            owed: VecDeque::with_capacity(MOST_NAMELESS),
         }
     }
 
@@ -112,13 +119,11 @@ impl GenicamStream {
     /// Takes what a buffer holds and gives the buffer back; `None` for one that was never filled.
     fn take(&mut self, buffer: Buffer, counts: &mut [u16]) -> Option<Result<FrameInfo, DeviceError>> {
         let status = self.receive(&buffer, counts);
-        let (id, time_ns) = (BlockId(buffer.frame_id()), buffer.timestamp());
-        // The time of a frame whose leader is lost would be that of the frame before it in this buffer.
-        buffer.set_timestamp(0);
-        self.stream.push_buffer(buffer);
+        let (id, time_ns) = (buffer.frame_id(), buffer.timestamp());
+        give(&self.stream, buffer);
         let status = status?;
         self.count(status);
-        Some(self.number(id, time_ns, status))
+        self.names.name(id, time_ns).map(|named| self.number(named, status))
     }
 
     /// Copies the pixels, if they are all there.
@@ -165,29 +170,23 @@ impl GenicamStream {
         }
     }
 
-    fn number(&mut self, id: BlockId, time_ns: u64, status: FrameStatus) -> Result<FrameInfo, DeviceError> {
-        let device_time = self.time_of(id, time_ns);
-        let (exposure, epoch) = self.numbering.exposure_of(id, device_time).map_err(|error| {
-            self.error(ErrorKind::Protocol, format!("{error}; stop and arm the camera again"))
+    fn number(&mut self, named: Named, status: FrameStatus) -> Result<FrameInfo, DeviceError> {
+        let Named { id, time } = named;
+        let numbering = self.numbering.get_or_insert_with(|| {
+            let before = self.names.nameless();
+            let rule = self.names.rule();
+            let first = rule.first.or(before.first().map(|named| named.id));
+            self.owed.extend(before);
+            ExposureNumbering::new(IdRule { first, ..rule }, self.settings.period)
+        });
+        let (exposure, epoch) = numbering.exposure_of(id, time).map_err(|error| {
+            DeviceError::new(
+                ErrorKind::Protocol,
+                self.device.clone(),
+                format!("{error}; stop and arm the camera again"),
+            )
         })?;
-        if time_ns != 0 {
-            self.newest = Some((id, device_time));
-        }
-        Ok(FrameInfo { exposure, block_id: id, epoch, device_time, status })
-    }
-
-    /// The time that the frame tells; where its leader is lost, so many periods after one that told it.
-    fn time_of(&self, id: BlockId, time_ns: u64) -> DeviceTime {
-        match self.newest {
-            Some((newest, time)) if time_ns == 0 => {
-                // Past the wrap the counter skips 0, hence 65535 ids to a turn.
-                let ahead =
-                    if id.0 >= newest.0 { id.0 - newest.0 } else { (id.0 + 65_535).saturating_sub(newest.0) };
-                let period_ns = u64::try_from(self.settings.period.as_nanos()).unwrap_or(u64::MAX);
-                DeviceTime(time.0.wrapping_add(ahead.wrapping_mul(period_ns)))
-            }
-            _ => DeviceTime(time_ns),
-        }
+        Ok(FrameInfo { exposure, block_id: id, epoch, device_time: time, status })
     }
 
     /// What follows from silence: `Some` when no frame will come any more.
@@ -196,7 +195,6 @@ impl GenicamStream {
             Phase::Running if self.shared.is_stopped.load(Relaxed) => self.phase = Phase::Finishing(now),
             Phase::Running => return self.watch(now),
             Phase::Finishing(since) if now.saturating_duration_since(since) >= AFTERMATH => {
-                self.stream.stop_thread(false);
                 self.look_at_counters();
                 self.phase = Phase::Draining;
             }
@@ -258,12 +256,31 @@ impl GenicamStream {
     }
 }
 
+/// Gives a buffer to Aravis. What it writes only with a leader is wiped, or else a frame whose leader is lost would
+/// have id and time of the frame before it in this buffer.
+pub(crate) fn give(stream: &aravis::Stream, buffer: Buffer) {
+    buffer.set_frame_id(UNKNOWN);
+    buffer.set_timestamp(0);
+    stream.push_buffer(buffer);
+}
+
+impl Drop for GenicamStream {
+    fn drop(&mut self) {
+        if let Some(camera) = self.camera.take() {
+            let_go(self.is_lost.load(Relaxed), (self.stream.clone(), camera));
+        }
+    }
+}
+
 impl FrameStream for GenicamStream {
     fn next_frame(&mut self, counts: &mut [u16], timeout: Duration) -> Result<FrameInfo, DeviceError> {
         let expected = self.settings.region.num_pixels();
         if counts.len() != expected {
             let message = format!("memory for {} pixels was given where {expected} are needed", counts.len());
             return Err(self.error(ErrorKind::OutOfRange, message));
+        }
+        if let Some(named) = self.owed.pop_front() {
+            return self.number(named, FrameStatus::Incomplete);
         }
         let begun = Instant::now();
         let mut waited = Duration::ZERO;

@@ -74,7 +74,9 @@ impl Layout {
                 }
             }
             Self::Mono12Packed => {
-                unpack_pairs(bytes, counts, |high, low, other| (high << 4 | low & 0xF, other << 4 | low >> 4))
+                unpack_pairs(bytes, counts, |high, low, other| {
+                    (high << 4 | low & 0xF, other << 4 | low >> 4)
+                });
             }
             Self::Mono12p => unpack_pairs(bytes, counts, |first, middle, last| {
                 (first | (middle & 0xF) << 8, last << 4 | middle >> 4)

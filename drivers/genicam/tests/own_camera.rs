@@ -3,7 +3,6 @@
 
 mod bench;
 
-use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use bench::{Fake, Pulses, Rig, SERIAL, address, count_of, driver, next, settings};
@@ -23,19 +22,19 @@ fn open(settings: GenicamSettings) -> GenicamCamera {
 /// pixels, which know the exposure.
 fn frames(camera: &mut GenicamCamera, number: usize) -> Vec<FrameInfo> {
     let settings = settings(64, 48, 4);
-    camera.configure(&settings).unwrap();
-    let mut stream = camera.arm().unwrap();
+    camera.configure(&settings).expect("the camera answers");
+    let mut stream = camera.arm().expect("the camera answers");
     let mut counts = vec![0; settings.region.num_pixels()];
     let frames = (0..number)
         .map(|_| {
-            let info = next(stream.as_mut(), &mut counts).unwrap();
+            let info = next(stream.as_mut(), &mut counts).expect("the camera answers");
             if info.status == FrameStatus::Complete {
                 assert_pixels(&info, &counts);
             }
             info
         })
         .collect();
-    camera.stop().unwrap();
+    camera.stop().expect("the camera answers");
     frames
 }
 
@@ -138,6 +137,15 @@ fn whole_frames_that_are_missing_leave_gaps_and_nothing_moves() {
 }
 
 #[test]
+fn a_lost_first_frame_is_noticed_where_its_id_is_known() {
+    let faults = GigeFaults { lost_frames: vec![0, 1], ..GigeFaults::default() };
+    let _fake = Fake::start(GigeSettings { faults, ..GigeSettings::new(address(19, 1), SERIAL) });
+    let settings = GenicamSettings { first_block_id: Some(65_400), ..driver(address(19, 1)) };
+    let found: Vec<u64> = frames(&mut open(settings), 4).iter().map(|info| info.exposure.0).collect();
+    assert_eq!(found, [2, 3, 4, 5]);
+}
+
+#[test]
 fn packets_in_disorder_and_twice_change_nothing() {
     let faults =
         GigeFaults { shuffled_packets: 6, doubled_packets_per_thousand: 100, ..GigeFaults::default() };
@@ -184,8 +192,8 @@ fn a_stall_is_told_with_what_to_check() {
 /// A camera that is lost while it exposes, and how long that took to be noticed.
 fn lost(camera: &mut GenicamCamera, mut unplug: impl FnMut()) -> Duration {
     let settings = settings(64, 48, 4);
-    camera.configure(&settings).unwrap();
-    let mut stream = camera.arm().unwrap();
+    camera.configure(&settings).expect("the camera answers");
+    let mut stream = camera.arm().expect("the camera answers");
     let mut counts = vec![0; settings.region.num_pixels()];
     (0..5).for_each(|_| assert!(next(stream.as_mut(), &mut counts).is_ok()));
     unplug();
@@ -222,6 +230,22 @@ fn a_camera_whose_control_channel_falls_silent_is_lost() {
     let _fake = Fake::start(GigeSettings { faults, ..GigeSettings::new(address(11, 1), SERIAL) });
     let took = lost(&mut open(driver(address(11, 1))), || {});
     assert!(took < Duration::from_millis(1500), "{took:?}");
+}
+
+#[test]
+fn a_camera_that_takes_control_away_is_lost_and_can_be_had_again() {
+    let at = address(18, 1);
+    let faults = GigeFaults { control_lost_at: Some(8), ..GigeFaults::default() };
+    let fake = Fake::start(GigeSettings { faults, ..GigeSettings::new(at, SERIAL) });
+    let mut camera = open(driver(at));
+    let took = lost(&mut camera, || {});
+    assert!(took < Duration::from_millis(1500), "{took:?}");
+    camera.reconnect().unwrap();
+    assert!(!camera.is_lost());
+    let mut stream = camera.arm().unwrap();
+    let mut counts = vec![0; 64 * 48];
+    let info = next(stream.as_mut(), &mut counts).unwrap();
+    assert_eq!((info.exposure.0, info.status), (0, FrameStatus::Complete), "{:?}", fake.record.damages());
 }
 
 #[test]

@@ -1,5 +1,5 @@
 //! A simulated camera in a thread, a driver that talks to it, and pulses for both.
-#![expect(dead_code, reason = "each test binary uses a part of the bench")]
+#![allow(dead_code, clippy::allow_attributes, reason = "each test binary uses another part of the bench")]
 
 use std::net::Ipv4Addr;
 use std::sync::Arc;
@@ -14,14 +14,14 @@ use sofiscope_hal::{
     Camera, CameraSettings, DeviceError, ErrorKind, FrameInfo, FrameStream, Region, TriggerMode,
     TriggerSource,
 };
-use sofiscope_virtual::gige::{Exposure, GigeCamera, GigeRecord, GigeSettings};
+use sofiscope_virtual::gige::{Exposure, FrameSource, GigeCamera, GigeRecord, GigeSettings};
 use sofiscope_virtual::table::{OpticalTable, Quantity};
 
 /// Serial number of the cameras on this bench.
-pub const SERIAL: &str = "SIM-1";
+pub(crate) const SERIAL: &str = "SIM-1";
 
 /// The count that the simulated camera gives a pixel.
-pub fn count_of(exposure: u64, pixel: usize) -> u16 {
+pub(crate) fn count_of(exposure: u64, pixel: usize) -> u16 {
     (exposure.wrapping_mul(31) as usize + pixel * 7) as u16
 }
 
@@ -32,15 +32,19 @@ fn scene(exposure: &Exposure, counts: &mut [u16]) {
 }
 
 /// A simulated camera that lives in a thread.
-pub struct Fake {
-    pub record: GigeRecord,
+pub(crate) struct Fake {
+    pub(crate) record: GigeRecord,
     over: Arc<AtomicBool>,
     thread: Option<JoinHandle<std::io::Result<()>>>,
 }
 
 impl Fake {
-    pub fn start(settings: GigeSettings) -> Self {
-        let camera = GigeCamera::open(settings, scene).expect("an address of this computer");
+    pub(crate) fn start(settings: GigeSettings) -> Self {
+        Self::start_with(settings, scene)
+    }
+
+    pub(crate) fn start_with(settings: GigeSettings, source: impl FrameSource + 'static) -> Self {
+        let camera = GigeCamera::open(settings, source).expect("an address of this computer");
         let (record, over) = (camera.record(), Arc::new(AtomicBool::new(false)));
         let flag = over.clone();
         let thread = Some(std::thread::spawn(move || camera.serve(&flag)));
@@ -48,7 +52,7 @@ impl Fake {
     }
 
     /// As if its power went.
-    pub fn unplug(&mut self) {
+    pub(crate) fn unplug(&mut self) {
         self.over.store(true, Ordering::Relaxed);
         if let Some(Err(panic)) = self.thread.take().map(JoinHandle::join) {
             std::panic::resume_unwind(panic);
@@ -63,13 +67,13 @@ impl Drop for Fake {
 }
 
 /// Pulses on the optical table, from a thread.
-pub struct Pulses {
+pub(crate) struct Pulses {
     table: OpticalTable,
     train: Option<(SyncSender<()>, JoinHandle<()>)>,
 }
 
 impl Pulses {
-    pub fn new(table: OpticalTable) -> Self {
+    pub(crate) fn new(table: OpticalTable) -> Self {
         Self { table, train: None }
     }
 }
@@ -78,6 +82,9 @@ impl TriggerSource for Pulses {
     fn start(&mut self, period: Duration, pulses: Option<u64>) -> Result<(), DeviceError> {
         if self.train.is_some() {
             return Err(DeviceError::new(ErrorKind::Busy, "pulses", "a train is running"));
+        }
+        if period.is_zero() {
+            return Err(DeviceError::new(ErrorKind::OutOfRange, "pulses", "a period of zero"));
         }
         let (stop, stopped) = sync_channel(1);
         let table = self.table.clone();
@@ -107,10 +114,10 @@ impl TriggerSource for Pulses {
 }
 
 /// A driver, and what it needs to expose.
-pub struct Rig {
-    pub camera: GenicamCamera,
-    pub pulses: Option<Pulses>,
-    pub settings: CameraSettings,
+pub(crate) struct Rig {
+    pub(crate) camera: GenicamCamera,
+    pub(crate) pulses: Option<Pulses>,
+    pub(crate) settings: CameraSettings,
 }
 
 impl CameraRig for Rig {
@@ -131,7 +138,7 @@ impl CameraRig for Rig {
     }
 }
 
-pub fn settings(width: u32, height: u32, period_ms: u64) -> CameraSettings {
+pub(crate) fn settings(width: u32, height: u32, period_ms: u64) -> CameraSettings {
     CameraSettings {
         region: Region { left: 0, top: 0, width, height },
         exposure: Duration::from_millis(period_ms / 2),
@@ -140,18 +147,18 @@ pub fn settings(width: u32, height: u32, period_ms: u64) -> CameraSettings {
     }
 }
 
-pub fn driver(address: Ipv4Addr) -> GenicamSettings {
+pub(crate) fn driver(address: Ipv4Addr) -> GenicamSettings {
     let settings = GenicamSettings::new("camera R", SERIAL).at(address);
     GenicamSettings { packet_size: Some(1036), ..settings }
 }
 
 /// An address of this computer that belongs to one test, as tests run side by side.
-pub fn address(test: u8, camera: u8) -> Ipv4Addr {
+pub(crate) fn address(test: u8, camera: u8) -> Ipv4Addr {
     Ipv4Addr::new(127, 78, test, camera)
 }
 
 /// The next frame, or the error that is not "not yet".
-pub fn next(stream: &mut dyn FrameStream, counts: &mut [u16]) -> Result<FrameInfo, DeviceError> {
+pub(crate) fn next(stream: &mut dyn FrameStream, counts: &mut [u16]) -> Result<FrameInfo, DeviceError> {
     let begun = Instant::now();
     loop {
         match stream.next_frame(counts, Duration::from_millis(50)) {

@@ -171,13 +171,20 @@ impl Body {
         }
     }
 
+    /// Takes control away from whoever has it; the camera stops.
+    pub(super) fn lose_control(&self) {
+        self.state().take_control(None, 0);
+        self.changed.notify_all();
+    }
+
     /// Whoever has control and stays silent loses it, and the camera stops.
     fn miss_heartbeat(&self, now: Duration) {
-        let mut state = self.state();
+        let state = self.state();
         let heartbeat = state.registers.heartbeat();
-        if state.controller.is_some_and(|(_, heard)| now.saturating_sub(heard) > heartbeat) {
-            state.take_control(None, 0);
-            self.changed.notify_all();
+        let is_missed = state.controller.is_some_and(|(_, heard)| now.saturating_sub(heard) > heartbeat);
+        drop(state);
+        if is_missed {
+            self.lose_control();
         }
     }
 

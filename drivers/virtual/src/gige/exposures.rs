@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use super::control::Body;
 use super::gvsp::{self, Packets};
-use super::registers::{Setup, Trigger};
 use super::sending::Sending;
+use super::setup::{Setup, Trigger};
 use super::{Damage, Exposure, Fate, FrameSource};
 use crate::table::Quantity;
 
@@ -79,6 +79,9 @@ impl Acquisition<'_> {
             free_from = begin + self.setup.exposure;
             if faults.silent_at.is_some_and(|at| index >= at) {
                 self.body.is_silent.store(true, Relaxed);
+            }
+            if faults.control_lost_at == Some(index) {
+                self.body.lose_control();
             }
             if faults.restart_ids_at == Some(index) {
                 self.block_id = 1;

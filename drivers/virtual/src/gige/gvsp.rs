@@ -1,6 +1,6 @@
 //! The stream protocol (GVSP): one frame as leader, payload packets and trailer; all numbers big-endian.
 
-use super::registers::{PixelFormat, Region};
+use super::setup::{PixelFormat, Region};
 
 /// Bytes of a packet that are no payload: IP, UDP and GVSP headers.
 const HEADERS: usize = 20 + 8 + 8;

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `gvcp` | the control protocol: commands and acknowledgements |
 //! | `registers`, `camera.xml` | the camera's memory, and its GenICam description |
+//! | `setup` | what the registers ask the camera to do |
 //! | `control` | answers commands, knows who has control and for how long |
 //! | `exposures` | what starts exposures: the camera's own rate, pulses on the optical table, commands |
 //! | `gvsp`, `sending` | frames as packets, with everything that can happen to packets on their way |
@@ -22,6 +23,7 @@ mod gvsp;
 mod record;
 mod registers;
 mod sending;
+mod setup;
 #[cfg(test)]
 mod tests;
 
@@ -84,6 +86,8 @@ pub struct GigeFaults {
     pub stall_at: Option<u64>,
     /// From this exposure on neither frames nor answers are sent.
     pub silent_at: Option<u64>,
+    /// At this exposure the camera takes control away, as after a heartbeat that was missed, and stops.
+    pub control_lost_at: Option<u64>,
     /// At this exposure the counter begins with 1 again.
     pub restart_ids_at: Option<u64>,
     /// The camera does not send packets again.

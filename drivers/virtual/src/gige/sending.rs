@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use super::control::Body;
 use super::gvsp::Packets;
-use super::registers::Setup;
+use super::setup::Setup;
 use super::{Damage, Fate};
 
 /// Delays between packets that are shorter than this are summed up.
