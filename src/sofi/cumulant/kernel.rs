@@ -45,6 +45,9 @@ const STRIP_COLUMNS: usize = 128;
 /// The most numbers that a ring holds, a quarter of the second-level cache.
 const RING_NUMBERS: usize = 64 * 1024;
 
+/// Exposures that the many terms of a high order look at in turn: so few that they stay in the first-level cache.
+const GROUP_FRAMES: usize = 8;
+
 thread_local! {
     static RING: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
 }
@@ -57,18 +60,17 @@ pub(super) struct Block<'a, T> {
     pub(super) reference: &'a [Vec<f32>],
     pub(super) samples: &'a [Planes<'a, T>],
     pub(super) shape: Shape,
-    deltas: Deltas,
+    deltas: &'a Deltas,
 }
 
 impl<'a, T> Block<'a, T> {
     pub(super) fn new(
-        plan: &'a Plan,
+        (plan, deltas): (&'a Plan, &'a Deltas),
         layout: Layout,
         reference: &'a [Vec<f32>],
         samples: &'a [Planes<'a, T>],
     ) -> Self {
-        let shape = Shape::new(plan, layout.stride.min(STRIP_COLUMNS));
-        Self { plan, layout, reference, samples, shape, deltas: Deltas::new(plan, &shape) }
+        Self { plan, layout, reference, samples, shape: deltas.shape, deltas }
     }
 }
 
@@ -114,7 +116,7 @@ impl<T: Count> WithSimd for BandWork<'_, '_, T> {
                     numbers,
                     shape: block.shape,
                     turn: block.shape.turn_at(row),
-                    frames: part.samples.len(),
+                    frames: 0..part.samples.len(),
                 };
                 sum_row(simd, block, &rows, &part, row, sums);
             }
@@ -171,7 +173,7 @@ struct Rows<'a> {
     numbers: &'a [f32],
     shape: Shape,
     turn: usize,
-    frames: usize,
+    frames: Range<usize>,
 }
 
 impl Rows<'_> {
@@ -184,17 +186,31 @@ impl Rows<'_> {
     /// Where `column` of every exposure begins.
     #[inline(always)]
     fn frames(&self, column: usize) -> impl Iterator<Item = usize> + use<> {
-        (column..).step_by(self.shape.frame).take(self.frames)
+        let Range { start, end } = self.frames;
+        (column + start * self.shape.frame..).step_by(self.shape.frame).take(end - start)
+    }
+
+    /// The same rows, a few exposures at a time.
+    #[inline(always)]
+    fn in_groups(&self) -> impl Iterator<Item = Rows<'_>> {
+        let Range { start, end } = self.frames;
+        (start..end).step_by(GROUP_FRAMES).map(move |start| {
+            let frames = start..end.min(start + GROUP_FRAMES);
+            Rows { numbers: self.numbers, shape: self.shape, turn: self.turn, frames }
+        })
     }
 }
 
 /// Places in a ring of every element of every term, seen from the first pixel of a row, by turn of the ring.
-struct Deltas {
+#[derive(Debug, Clone)]
+pub(super) struct Deltas {
+    shape: Shape,
     turns: Vec<Vec<Vec<Vec<usize>>>>,
 }
 
 impl Deltas {
-    fn new(plan: &Plan, shape: &Shape) -> Self {
+    pub(super) fn new(plan: &Plan, layout: &Layout) -> Self {
+        let shape = Shape::new(plan, layout.stride.min(STRIP_COLUMNS));
         let of_term = |turn: usize, term: &Term| {
             let elements = term.sets.iter().flat_map(|set| &set.elements);
             elements.map(|element| shape.element(turn, element)).collect()
@@ -202,7 +218,7 @@ impl Deltas {
         let of_turn = |turn: usize| {
             plan.groups.iter().map(|group| group.iter().map(|term| of_term(turn, term)).collect()).collect()
         };
-        Self { turns: (0..shape.turns()).map(of_turn).collect() }
+        Self { shape, turns: (0..shape.turns()).map(of_turn).collect() }
     }
 }
 
@@ -225,7 +241,11 @@ fn sum_row<S: Simd, T: Count>(
         match (second_order, rows.shape.channels()) {
             (true, 1) => second_order_one_channel(simd, rows, x, sums, place, plane),
             (true, 2) => second_order_two_channels(simd, rows, x, sums, place, plane),
-            _ => any_order(simd, plan, &block.deltas.turns[rows.turn], rows, x, sums, place, plane),
+            _ => {
+                for rows in rows.in_groups() {
+                    any_order(simd, plan, &block.deltas.turns[rows.turn], &rows, x, sums, place, plane);
+                }
+            }
         }
     }
 }

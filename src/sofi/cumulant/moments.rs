@@ -6,8 +6,8 @@
 //!
 //! In: blocks of samples. Out: sums in `f64`. Never: depends on how the samples were blocked.
 
-use super::algebra::{LANES, Lanes};
-use super::kernel::{Block, Count, Planes, accumulate};
+use super::algebra::{ChannelAlgebra, LANES, Lanes, Polynomial};
+use super::kernel::{Block, Count, Deltas, Planes, accumulate};
 use super::layout::{Layout, load_row, registers, shifted};
 use super::plan::{Element, PlacedSet, Plan};
 use super::workers::Workers;
@@ -35,7 +35,10 @@ pub(super) struct RunMoments {
     pub(super) begin: u64,
     /// One past the last exposure that has been seen or is known to be lost.
     pub(super) end: u64,
+    deltas: Deltas,
     reference: Vec<Vec<f32>>,
+    /// Memory for a change of reference.
+    shifts: Vec<Vec<f32>>,
     chunk: Groups<f32>,
     long: Option<Groups<f64>>,
 }
@@ -49,7 +52,9 @@ impl RunMoments {
             samples: 0,
             begin: 0,
             end: 0,
+            deltas: Deltas::new(plan, layout),
             reference: vec![vec![0.0; layout.height * layout.stride]; plan.algebra.channels()],
+            shifts: vec![vec![0.0; layout.height * layout.stride]; plan.algebra.channels()],
             chunk: (0..=plan.order).map(zeroed).collect(),
             long: (longest > CHUNK)
                 .then(|| (0..=plan.order).map(|group| layout.zeroed(plan.accumulators(group))).collect()),
@@ -67,8 +72,8 @@ impl RunMoments {
     pub(super) fn bytes(&self) -> usize {
         let long = self.long.iter().flatten().flatten().map(|sums| sums.len() * size_of::<f64>());
         let chunk = self.chunk.iter().flatten().map(|sums| sums.len() * size_of::<f32>());
-        let reference = self.reference.iter().map(|plane| plane.len() * size_of::<f32>());
-        long.chain(chunk).chain(reference).sum()
+        let pixels = self.reference.iter().chain(&self.shifts).map(|plane| plane.len() * size_of::<f32>());
+        long.chain(chunk).chain(pixels).sum()
     }
 
     /// Adds samples in the order of time.
@@ -84,7 +89,7 @@ impl RunMoments {
         }
         while !samples.is_empty() {
             let (now, later) = samples.split_at(samples.len().min(self.until_next_step(plan.order) as usize));
-            let block = Block::new(plan, *layout, &self.reference, now);
+            let block = Block::new((plan, &self.deltas), *layout, &self.reference, now);
             let mut bands = bands_of(&mut self.chunk);
             workers.for_each(&mut bands, |band, sums| accumulate(&block, band, sums));
             self.samples += now.len() as u64;
@@ -116,8 +121,7 @@ impl RunMoments {
 
     /// Moves the reference to the mean so far, in whole counts so that differences of counts stay exact.
     fn recenter(&mut self, workers: &impl Workers, plan: &Plan, layout: &Layout) {
-        let mut shifts = self.reference.clone();
-        for (channel, shift) in shifts.iter_mut().enumerate() {
+        for (channel, shift) in self.shifts.iter_mut().enumerate() {
             for (y, line) in shift.chunks_exact_mut(layout.stride).enumerate() {
                 for x in (0..layout.stride).step_by(LANES) {
                     let sums = layout.load(&self.chunk[1], channel, y as i64, x as i64);
@@ -129,8 +133,8 @@ impl RunMoments {
                 }
             }
         }
-        shift_sums(&mut self.chunk, workers, plan, layout, &shifts, self.samples);
-        for (reference, shift) in self.reference.iter_mut().zip(&shifts) {
+        shift_sums(&mut self.chunk, workers, plan, layout, &self.shifts, self.samples);
+        for (reference, shift) in self.reference.iter_mut().zip(&self.shifts) {
             reference.iter_mut().zip(shift).for_each(|(reference, shift)| *reference += shift);
         }
     }
@@ -304,16 +308,15 @@ impl Shift<'_> {
     /// Terms of any number of pixels, one register of pixels at a time.
     #[inline(always)]
     fn terms_of_any_size<T: Sum>(&self, smaller: &[Vec<Vec<T>>], degree: usize, band: usize, sums: &mut [T]) {
-        let coefficients = self.plan.algebra.coefficients(degree);
-        let mut moved = Products::default();
+        let mut products = Products::new(&self.plan.algebra, degree);
         for term in &self.plan.groups[degree] {
             for set in &term.sets {
                 for (y, x, place) in registers(self.layout, band) {
-                    self.move_set(set, smaller, (y, x), &mut moved);
-                    for (coefficient, moved) in moved.total.iter().enumerate().take(coefficients) {
+                    let change = self.move_set(set, smaller, (y, x), &mut products);
+                    for (coefficient, change) in change.iter().enumerate() {
                         let start = (term.first + coefficient) * self.layout.plane_len(band) + place;
-                        for (sum, moved) in sums[start..start + LANES].iter_mut().zip(moved) {
-                            *sum = T::rounded((*sum).into() + moved);
+                        for (sum, change) in sums[start..start + LANES].iter_mut().zip(change) {
+                            *sum = T::rounded((*sum).into() + change);
                         }
                     }
                 }
@@ -381,51 +384,54 @@ impl Shift<'_> {
     }
 
     /// What the change of reference adds to one set's sum at one register of pixels.
+    ///
+    /// One pixel after the other takes the new reference: the sums that hold it become smaller by its shift times
+    /// those that do not. In the end the sum of all pixels has met the old sums of all subsets.
     #[inline(always)]
-    fn move_set<T: Sum>(
+    fn move_set<'p, T: Sum>(
         &self,
         set: &PlacedSet,
         smaller: &[Vec<Vec<T>>],
         (y, x): (i64, i64),
-        products: &mut Products,
-    ) {
+        products: &'p mut Products,
+    ) -> &'p [Lanes] {
         let degree = set.elements.len();
-        let algebra = &self.plan.algebra;
-        reset(&mut products.total, algebra.coefficients(degree));
-        for kept in 0..set.subsets.len() {
-            self.load_kept(set, smaller, kept, (y, x), &mut products.product);
-            let left_out = set.elements.iter().enumerate().filter(|(pixel, _)| kept & (1 << pixel) == 0);
-            for (size, (_, element)) in (kept.count_ones() as usize..).zip(left_out) {
-                let (y, x) = (y + i64::from(element.dy), x + i64::from(element.dx));
-                products.shift.clear();
-                products.shift.extend((0..algebra.channels()).map(|channel| self.shift(channel, y, x)));
-                reset(&mut products.longer, algebra.coefficients(size + 1));
-                let (product, shift) = ((&products.product[..], size), (&products.shift[..], 1));
-                algebra.add_product(product, shift, -1.0, &mut products.longer);
-                std::mem::swap(&mut products.product, &mut products.longer);
+        let full = (1usize << degree) - 1;
+        self.load_subsets(set, smaller, (y, x), &mut products.subsets);
+        for (pixel, element) in set.elements.iter().enumerate().rev() {
+            let (y, x) = (y + i64::from(element.dy), x + i64::from(element.dx));
+            for (channel, shift) in products.shift.iter_mut().enumerate() {
+                *shift = self.shift(channel, y, x);
             }
-            for (total, product) in products.total.iter_mut().zip(&products.product) {
-                (0..LANES).for_each(|lane| total[lane] += product[lane]);
+            let (bit, moved) = (1 << pixel, full & !((2 << pixel) - 1));
+            for rest in 0..bit {
+                let (without, with) = products.subsets.split_at_mut(moved | bit | rest);
+                let size = (moved | rest).count_ones() as usize;
+                let (left, right) = ((&without[moved | rest][..], size), (&products.shift[..], 1));
+                self.plan.algebra.add_product(left, right, -1.0, &mut with[0]);
             }
         }
+        &products.subsets[full]
     }
 
-    fn load_kept<T: Sum>(
+    /// The old sums of all subsets of a set, by bit mask; zero for the whole set, so that only its change remains.
+    #[inline(always)]
+    fn load_subsets<T: Sum>(
         &self,
         set: &PlacedSet,
         smaller: &[Vec<Vec<T>>],
-        kept: usize,
         (y, x): (i64, i64),
-        product: &mut Vec<Lanes>,
+        subsets: &mut [Polynomial],
     ) {
-        product.clear();
-        if kept == 0 {
-            return product.push([self.samples; LANES]);
+        subsets[0][0] = [self.samples; LANES];
+        for (mask, place) in set.subsets.iter().enumerate().skip(1) {
+            let size = mask.count_ones() as usize;
+            let (y, x) = place.seen_from(y, x);
+            for (coefficient, sum) in subsets[mask].iter_mut().enumerate() {
+                *sum = self.layout.load(&smaller[size], place.first + coefficient, y, x);
+            }
         }
-        let (size, place) = (kept.count_ones() as usize, set.subsets[kept]);
-        let (y, x) = place.seen_from(y, x);
-        let coefficients = place.first..place.first + self.plan.algebra.coefficients(size);
-        product.extend(coefficients.map(|accumulator| self.layout.load(&smaller[size], accumulator, y, x)));
+        subsets[set.subsets.len()].fill([0.0; LANES]);
     }
 
     #[inline(always)]
@@ -474,16 +480,20 @@ impl<T: Sum> WithSimd for MovingTerms<'_, T> {
     }
 }
 
-/// Memory for polynomial products, reused from register to register.
-#[derive(Default)]
+/// Memory for the sums of a set's subsets, reused from register to register.
 struct Products {
-    total: Vec<Lanes>,
-    product: Vec<Lanes>,
-    longer: Vec<Lanes>,
-    shift: Vec<Lanes>,
+    /// By bit mask over the pixels of the set.
+    subsets: Vec<Polynomial>,
+    /// Per channel, of one pixel.
+    shift: Polynomial,
 }
 
-fn reset(polynomial: &mut Vec<Lanes>, coefficients: usize) {
-    polynomial.clear();
-    polynomial.resize(coefficients, [0.0; LANES]);
+impl Products {
+    fn new(algebra: &ChannelAlgebra, degree: usize) -> Self {
+        let of_mask = |mask: usize| vec![[0.0; LANES]; algebra.coefficients(mask.count_ones() as usize)];
+        Self {
+            subsets: (0..1 << degree).map(of_mask).collect(),
+            shift: vec![[0.0; LANES]; algebra.channels()],
+        }
+    }
 }
