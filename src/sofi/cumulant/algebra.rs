@@ -7,7 +7,7 @@
 //! In: number of channels and highest degree. Out: monomials, multiplicities, products.
 
 /// How many pixels one polynomial coefficient is computed for at a time.
-pub(super) const LANES: usize = 8;
+pub(super) const LANES: usize = 16;
 
 /// One coefficient for [`LANES`] neighboring pixels.
 pub(super) type Lanes = [f64; LANES];

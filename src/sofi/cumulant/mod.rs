@@ -32,7 +32,10 @@ mod moments;
 mod plan;
 mod prefetch;
 mod ring;
+mod second_order;
 mod settings;
+mod shift;
+mod terms;
 mod workers;
 
 pub use binned::Binning;

@@ -7,11 +7,11 @@
 //! In: blocks of samples. Out: sums in `f64`. Never: depends on how the samples were blocked.
 
 use super::algebra::{LANES, Lanes};
-use super::kernel::{Block, Count, Planes, accumulate};
-use super::layout::{Layout, load_row, registers, shifted};
-use super::plan::{Element, PlacedSet, Plan};
+use super::kernel::{Block, Count, Deltas, Planes, accumulate};
+use super::layout::Layout;
+use super::plan::Plan;
+use super::shift::shift_sums;
 use super::workers::Workers;
-use pulp::{Simd, WithSimd};
 
 /// Samples that an `f32` sum takes before it is moved to `f64`.
 pub(super) const CHUNK: u64 = 256;
@@ -22,7 +22,7 @@ fn recenterings(order: usize) -> &'static [u64] {
 }
 
 /// Accumulators by group, then band; see [`Layout`] and [`Plan::groups`].
-type Groups<T> = Vec<Vec<Vec<T>>>;
+pub(super) type Groups<T> = Vec<Vec<Vec<T>>>;
 
 /// The running sums of one subsequence.
 #[derive(Debug, Clone)]
@@ -35,7 +35,10 @@ pub(super) struct RunMoments {
     pub(super) begin: u64,
     /// One past the last exposure that has been seen or is known to be lost.
     pub(super) end: u64,
+    deltas: Deltas,
     reference: Vec<Vec<f32>>,
+    /// Memory for a change of reference.
+    shifts: Vec<Vec<f32>>,
     chunk: Groups<f32>,
     long: Option<Groups<f64>>,
 }
@@ -49,7 +52,9 @@ impl RunMoments {
             samples: 0,
             begin: 0,
             end: 0,
+            deltas: Deltas::new(plan, layout),
             reference: vec![vec![0.0; layout.height * layout.stride]; plan.algebra.channels()],
+            shifts: vec![vec![0.0; layout.height * layout.stride]; plan.algebra.channels()],
             chunk: (0..=plan.order).map(zeroed).collect(),
             long: (longest > CHUNK)
                 .then(|| (0..=plan.order).map(|group| layout.zeroed(plan.accumulators(group))).collect()),
@@ -67,8 +72,8 @@ impl RunMoments {
     pub(super) fn bytes(&self) -> usize {
         let long = self.long.iter().flatten().flatten().map(|sums| sums.len() * size_of::<f64>());
         let chunk = self.chunk.iter().flatten().map(|sums| sums.len() * size_of::<f32>());
-        let reference = self.reference.iter().map(|plane| plane.len() * size_of::<f32>());
-        long.chain(chunk).chain(reference).sum()
+        let pixels = self.reference.iter().chain(&self.shifts).map(|plane| plane.len() * size_of::<f32>());
+        long.chain(chunk).chain(pixels).sum()
     }
 
     /// Adds samples in the order of time.
@@ -84,7 +89,7 @@ impl RunMoments {
         }
         while !samples.is_empty() {
             let (now, later) = samples.split_at(samples.len().min(self.until_next_step(plan.order) as usize));
-            let block = Block::new(plan, *layout, &self.reference, now);
+            let block = Block::new((plan, &self.deltas), *layout, &self.reference, now);
             let mut bands = bands_of(&mut self.chunk);
             workers.for_each(&mut bands, |band, sums| accumulate(&block, band, sums));
             self.samples += now.len() as u64;
@@ -116,8 +121,7 @@ impl RunMoments {
 
     /// Moves the reference to the mean so far, in whole counts so that differences of counts stay exact.
     fn recenter(&mut self, workers: &impl Workers, plan: &Plan, layout: &Layout) {
-        let mut shifts = self.reference.clone();
-        for (channel, shift) in shifts.iter_mut().enumerate() {
+        for (channel, shift) in self.shifts.iter_mut().enumerate() {
             for (y, line) in shift.chunks_exact_mut(layout.stride).enumerate() {
                 for x in (0..layout.stride).step_by(LANES) {
                     let sums = layout.load(&self.chunk[1], channel, y as i64, x as i64);
@@ -129,8 +133,8 @@ impl RunMoments {
                 }
             }
         }
-        shift_sums(&mut self.chunk, workers, plan, layout, &shifts, self.samples);
-        for (reference, shift) in self.reference.iter_mut().zip(&shifts) {
+        shift_sums(&mut self.chunk, workers, plan, layout, &self.shifts, self.samples);
+        for (reference, shift) in self.reference.iter_mut().zip(&self.shifts) {
             reference.iter_mut().zip(shift).for_each(|(reference, shift)| *reference += shift);
         }
     }
@@ -227,263 +231,4 @@ fn add_all<T: Copy + std::ops::AddAssign>(ours: &mut Groups<T>, theirs: &Groups<
     for (ours, theirs) in ours.iter_mut().flatten().zip(theirs.iter().flatten()) {
         ours.iter_mut().zip(theirs).for_each(|(ours, theirs)| *ours += *theirs);
     }
-}
-
-/// A stored sum.
-trait Sum: Copy + Default + Into<f64> + Send + Sync {
-    fn rounded(value: f64) -> Self;
-}
-
-impl Sum for f32 {
-    #[inline(always)]
-    fn rounded(value: f64) -> Self {
-        value as Self
-    }
-}
-
-impl Sum for f64 {
-    #[inline(always)]
-    fn rounded(value: f64) -> Self {
-        value
-    }
-}
-
-/// Moves sums of `samples` samples to a reference that is larger by `shifts` (binomial theorem, per pixel of a tuple).
-///
-/// The sum of a tuple about the new reference is the sum over all its subsets of their old sums times the
-/// negative shifts of the pixels left out. Groups go from large to small, as each needs the old smaller ones.
-fn shift_sums<T: Sum>(
-    groups: &mut Groups<T>,
-    workers: &impl Workers,
-    plan: &Plan,
-    layout: &Layout,
-    shifts: &[Vec<f32>],
-    samples: u64,
-) {
-    let shift = Shift { plan, layout, shifts, samples: samples as f64 };
-    for degree in (2..=plan.order).rev() {
-        let (smaller, current) = groups.split_at_mut(degree);
-        workers.for_each(&mut current[0], |band, sums| shift.terms(smaller, degree, band, sums));
-    }
-    let (squares, rest) = groups.split_at_mut(1);
-    workers.for_each(&mut squares[0], |band, sums| shift.squares(&rest[0], band, sums));
-    workers.for_each(&mut rest[0], |band, sums| shift.terms(squares, 1, band, sums));
-}
-
-/// One change of reference.
-struct Shift<'a> {
-    plan: &'a Plan,
-    layout: &'a Layout,
-    shifts: &'a [Vec<f32>],
-    samples: f64,
-}
-
-impl Shift<'_> {
-    fn squares<T: Sum>(&self, first_moments: &[Vec<T>], band: usize, squares: &mut [T]) {
-        for channel in 0..self.plan.algebra.channels() {
-            let squares = &mut squares[channel * self.layout.plane_len(band)..];
-            for (y, x, place) in registers(self.layout, band) {
-                let sums = self.layout.load(first_moments, channel, y, x);
-                let shift = self.shift(channel, y, x);
-                for lane in 0..LANES {
-                    let moved = (self.samples * shift[lane] - 2.0 * sums[lane]) * shift[lane];
-                    squares[place + lane] = T::rounded(squares[place + lane].into() + moved);
-                }
-            }
-        }
-    }
-
-    fn terms<T: Sum>(&self, smaller: &[Vec<Vec<T>>], degree: usize, band: usize, sums: &mut [T]) {
-        if degree == 2 {
-            let pairs = MovingPairs { shift: self, first_moments: &smaller[1], band, sums };
-            return pulp::Arch::new().dispatch(pairs);
-        }
-        pulp::Arch::new().dispatch(MovingTerms { shift: self, smaller, degree, band, sums });
-    }
-
-    /// Terms of any number of pixels, one register of pixels at a time.
-    #[inline(always)]
-    fn terms_of_any_size<T: Sum>(&self, smaller: &[Vec<Vec<T>>], degree: usize, band: usize, sums: &mut [T]) {
-        let coefficients = self.plan.algebra.coefficients(degree);
-        let mut moved = Products::default();
-        for term in &self.plan.groups[degree] {
-            for set in &term.sets {
-                for (y, x, place) in registers(self.layout, band) {
-                    self.move_set(set, smaller, (y, x), &mut moved);
-                    for (coefficient, moved) in moved.total.iter().enumerate().take(coefficients) {
-                        let start = (term.first + coefficient) * self.layout.plane_len(band) + place;
-                        for (sum, moved) in sums[start..start + LANES].iter_mut().zip(moved) {
-                            *sum = T::rounded((*sum).into() + moved);
-                        }
-                    }
-                }
-            }
-        }
-    }
-
-    /// Pairs: the new sum is the old one less `shift_b S_a` and `shift_a S'_b`, `S'` the sum about the new reference.
-    ///
-    /// Row by row, as this is done for every subsequence at full camera size.
-    #[inline(always)]
-    fn pairs<T: Sum>(&self, first_moments: &[Vec<T>], band: usize, sums: &mut [T]) {
-        let (algebra, layout) = (&self.plan.algebra, self.layout);
-        let channels = algebra.channels();
-        for term in &self.plan.groups[2] {
-            for set in &term.sets {
-                for (row, y) in layout.rows(band).enumerate() {
-                    for a in 0..channels {
-                        for b in if self.plan.symmetric() { 0 } else { a }..channels {
-                            let plane = term.first + algebra.product_index(1, 1, a, b);
-                            let start = plane * layout.plane_len(band) + row * layout.stride;
-                            let sums = &mut sums[start..start + layout.stride];
-                            self.pair_row(first_moments, set, (a, b), y as i64, sums);
-                        }
-                    }
-                }
-            }
-        }
-    }
-
-    /// One row of one pair, its pixels from channels `a` and `b`.
-    #[inline(always)]
-    fn pair_row<T: Sum>(
-        &self,
-        first_moments: &[Vec<T>],
-        set: &PlacedSet,
-        (a, b): (usize, usize),
-        y: i64,
-        sums: &mut [T],
-    ) {
-        let [Element { dy: dy_a, dx: dx_a, .. }, Element { dy: dy_b, dx: dx_b, .. }] =
-            [set.elements[0], set.elements[1]];
-        let (ya, yb) = (y + i64::from(dy_a), y + i64::from(dy_b));
-        let row = |accumulator, y| self.layout.row(first_moments, accumulator, y);
-        let Some((sum_a, shift_a)) = row(set.subsets[1].first + a, ya).zip(self.shift_row(a, ya)) else {
-            return;
-        };
-        let Some((sum_b, shift_b)) = row(set.subsets[2].first + b, yb).zip(self.shift_row(b, yb)) else {
-            return;
-        };
-        let columns = self.layout.shared_columns(dx_a, dx_b);
-        let of_a = shifted(sum_a, columns.clone(), dx_a).iter().zip(shifted(shift_a, columns.clone(), dx_a));
-        let of_b = shifted(sum_b, columns.clone(), dx_b).iter().zip(shifted(shift_b, columns.clone(), dx_b));
-        for ((sum, (sum_a, shift_a)), (sum_b, shift_b)) in sums[columns].iter_mut().zip(of_a).zip(of_b) {
-            let (sum_a, shift_a): (f64, f64) = ((*sum_a).into(), f64::from(*shift_a));
-            let (sum_b, shift_b): (f64, f64) = ((*sum_b).into(), f64::from(*shift_b));
-            let moved = shift_b * sum_a + shift_a * (sum_b - self.samples * shift_b);
-            *sum = T::rounded((*sum).into() - moved);
-        }
-    }
-
-    fn shift_row(&self, channel: usize, y: i64) -> Option<&[f32]> {
-        let y = usize::try_from(y).ok().filter(|&y| y < self.layout.height)?;
-        Some(&self.shifts[channel][y * self.layout.stride..(y + 1) * self.layout.stride])
-    }
-
-    /// What the change of reference adds to one set's sum at one register of pixels.
-    #[inline(always)]
-    fn move_set<T: Sum>(
-        &self,
-        set: &PlacedSet,
-        smaller: &[Vec<Vec<T>>],
-        (y, x): (i64, i64),
-        products: &mut Products,
-    ) {
-        let degree = set.elements.len();
-        let algebra = &self.plan.algebra;
-        reset(&mut products.total, algebra.coefficients(degree));
-        for kept in 0..set.subsets.len() {
-            self.load_kept(set, smaller, kept, (y, x), &mut products.product);
-            let left_out = set.elements.iter().enumerate().filter(|(pixel, _)| kept & (1 << pixel) == 0);
-            for (size, (_, element)) in (kept.count_ones() as usize..).zip(left_out) {
-                let (y, x) = (y + i64::from(element.dy), x + i64::from(element.dx));
-                products.shift.clear();
-                products.shift.extend((0..algebra.channels()).map(|channel| self.shift(channel, y, x)));
-                reset(&mut products.longer, algebra.coefficients(size + 1));
-                let (product, shift) = ((&products.product[..], size), (&products.shift[..], 1));
-                algebra.add_product(product, shift, -1.0, &mut products.longer);
-                std::mem::swap(&mut products.product, &mut products.longer);
-            }
-            for (total, product) in products.total.iter_mut().zip(&products.product) {
-                (0..LANES).for_each(|lane| total[lane] += product[lane]);
-            }
-        }
-    }
-
-    fn load_kept<T: Sum>(
-        &self,
-        set: &PlacedSet,
-        smaller: &[Vec<Vec<T>>],
-        kept: usize,
-        (y, x): (i64, i64),
-        product: &mut Vec<Lanes>,
-    ) {
-        product.clear();
-        if kept == 0 {
-            return product.push([self.samples; LANES]);
-        }
-        let (size, place) = (kept.count_ones() as usize, set.subsets[kept]);
-        let (y, x) = place.seen_from(y, x);
-        let coefficients = place.first..place.first + self.plan.algebra.coefficients(size);
-        product.extend(coefficients.map(|accumulator| self.layout.load(&smaller[size], accumulator, y, x)));
-    }
-
-    #[inline(always)]
-    fn shift(&self, channel: usize, y: i64, x: i64) -> Lanes {
-        match usize::try_from(y) {
-            Ok(y) if y < self.layout.height => {
-                load_row(&self.shifts[channel][y * self.layout.stride..(y + 1) * self.layout.stride], x)
-            }
-            _ => [0.0; LANES],
-        }
-    }
-}
-
-/// The work of [`Shift::pairs`], compiled for the widest registers.
-struct MovingPairs<'a, T> {
-    shift: &'a Shift<'a>,
-    first_moments: &'a [Vec<T>],
-    band: usize,
-    sums: &'a mut [T],
-}
-
-impl<T: Sum> WithSimd for MovingPairs<'_, T> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        self.shift.pairs(self.first_moments, self.band, self.sums);
-    }
-}
-
-/// The work of [`Shift::terms_of_any_size`], compiled for the widest registers.
-struct MovingTerms<'a, T> {
-    shift: &'a Shift<'a>,
-    smaller: &'a [Vec<Vec<T>>],
-    degree: usize,
-    band: usize,
-    sums: &'a mut [T],
-}
-
-impl<T: Sum> WithSimd for MovingTerms<'_, T> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        self.shift.terms_of_any_size(self.smaller, self.degree, self.band, self.sums);
-    }
-}
-
-/// Memory for polynomial products, reused from register to register.
-#[derive(Default)]
-struct Products {
-    total: Vec<Lanes>,
-    product: Vec<Lanes>,
-    longer: Vec<Lanes>,
-    shift: Vec<Lanes>,
-}
-
-fn reset(polynomial: &mut Vec<Lanes>, coefficients: usize) {
-    polynomial.clear();
-    polynomial.resize(coefficients, [0.0; LANES]);
 }
