@@ -5,6 +5,7 @@
 //! | [`table`] | [`OpticalTable`]: what all virtual devices share, in memory that processes map |
 //! | [`log`] | [`EmissionLog`]: what came out of lasers and gates, by the device's own clock |
 //! | [`pty`] | a model behind a pseudo-terminal, in real time |
+//! | [`spot`] | [`FocusSpot`](spot::FocusSpot): what the camera of the focus lock sees |
 //!
 //! In: bytes over pseudo-terminals, and what the other devices do to the optical table. Out: bytes, and what this
 //! device does to the table. Never: pretends to be real: every identity says that it is simulated where its
@@ -15,6 +16,7 @@
 
 pub mod log;
 pub mod pty;
+pub mod spot;
 pub mod table;
 
 pub use log::EmissionLog;
