@@ -130,8 +130,8 @@ struct Checked {
 
 fn check(path: &Path, json: bool) -> Result<(), AppError> {
     let text = read_text(path, MOST_BYTES)?;
-    let instrument =
-        Instrument::from_toml(&text).map_err(|faults| AppError::Usage(format!("{}: {faults}", path.display())))?;
+    let instrument = Instrument::from_toml(&text)
+        .map_err(|faults| AppError::Usage(format!("{}: {faults}", path.display())))?;
     let begun = std::time::Instant::now();
     let opened = hardware::open(&instrument, &text)?;
     let checked = Checked {
@@ -168,7 +168,9 @@ fn up(path: &Path) -> Result<(), AppError> {
             return Ok(());
         }
         if let Some(name) = devices.ended() {
-            return Err(AppError::Device(format!("virtual {name} has ended by itself; all others were ended")));
+            return Err(AppError::Device(format!(
+                "virtual {name} has ended by itself; all others were ended"
+            )));
         }
     }
 }

@@ -9,6 +9,7 @@
 //! | [`log`] | [`EmissionLog`]: what came out of lasers and gates, by the device's own clock |
 //! | [`pty`] | a model behind a pseudo-terminal, in real time |
 //! | [`trigger`] | trigger controllers: gatekeeper, Arduino and TeensyPulseGenerator of Micro-Manager |
+//! | [`spot`] | [`FocusSpot`](spot::FocusSpot): what the camera of the focus lock sees |
 //!
 //! In: bytes over pseudo-terminals, and what the other devices do to the optical table. Out: bytes, and what this
 //! device does to the table. Never: pretends to be real: every identity says that it is simulated where its
@@ -22,6 +23,7 @@ pub mod laser;
 pub mod log;
 pub mod pty;
 pub mod stage;
+pub mod spot;
 pub mod table;
 pub mod trigger;
 

@@ -22,7 +22,8 @@ impl StageDrive for AwaitedStage {
                 .map_err(|error| DeviceError::new(ErrorKind::OutOfRange, &name, error.to_string()))
         };
         if position.z_um.is_some() {
-            let message = "it moves in x and y only; remove z from the position and focus by hand or by the lock";
+            let message =
+                "it moves in x and y only; remove z from the position and focus by hand or by the lock";
             return Err(DeviceError::new(ErrorKind::OutOfRange, name, message));
         }
         let here = self.0.position()?;
@@ -39,7 +40,8 @@ impl StageDrive for AwaitedStage {
                 }
                 other => {
                     self.0.stopper().stop_motion()?;
-                    let message = format!("the move did not end ({other:?}); it was stopped, home the stage again");
+                    let message =
+                        format!("the move did not end ({other:?}); it was stopped, home the stage again");
                     return Err(DeviceError::new(ErrorKind::Fault, name, message));
                 }
             }

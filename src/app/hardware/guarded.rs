@@ -25,7 +25,8 @@ pub(in crate::app) struct GuardArguments {}
 /// [`AppError::Usage`] when standard input is no socket.
 pub(in crate::app) fn run(_arguments: &GuardArguments) -> Result<(), AppError> {
     // Ctrl-C at the terminal reaches every process of the group; the guard goes when the instrument goes.
-    ctrlc::set_handler(|| {}).map_err(|error| AppError::Device(format!("signals cannot be heard: {error}")))?;
+    ctrlc::set_handler(|| {})
+        .map_err(|error| AppError::Device(format!("signals cannot be heard: {error}")))?;
     let no_socket = |error: std::io::Error| {
         AppError::Usage(format!("the laser guard is started by the instrument, never by hand ({error})"))
     };
@@ -67,9 +68,8 @@ impl Guarded {
         let mut command = Command::new(program);
         command.arg("laser-guard");
         let (child, socket) = start_process(command).map_err(failed)?;
-        let (client, state) = GuardClient::set_up(socket, instrument).map_err(|error| {
-            AppError::Device(error.to_string())
-        })?;
+        let (client, state) =
+            GuardClient::set_up(socket, instrument).map_err(|error| AppError::Device(error.to_string()))?;
         Ok((Self(Arc::new(Mutex::new(Held { client, child, is_armed: false }))), state))
     }
 

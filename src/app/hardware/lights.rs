@@ -1,7 +1,8 @@
 //! Opens lasers and gates; runs in the guard's process only.
 
 use sofiscope_gated_laser::{
-    Calibration, CalibrationPoint, Drive, GatedLaser, GatedLaserSettings, Output, OutputState, Permission, Polarity,
+    Calibration, CalibrationPoint, Drive, GatedLaser, GatedLaserSettings, Output, OutputState, Permission,
+    Polarity,
 };
 use sofiscope_gatekeeper::{Gatekeeper, GatekeeperSettings, Step};
 use sofiscope_hal::{
@@ -64,8 +65,11 @@ impl Builder for Lights {
                 Ok(Box::new(Gatekeeper::connect(line, settings)?))
             }
             GatesKind::MicromanagerArduino => {
-                let line =
-                    Line::open(&entry.port.path, MicroManagerArduino::line_settings(), "Arduino trigger box")?;
+                let line = Line::open(
+                    &entry.port.path,
+                    MicroManagerArduino::line_settings(),
+                    "Arduino trigger box",
+                )?;
                 let arduino = MicroManagerArduino::connect(line, ExposureLevel::High)?;
                 Ok(Box::new(WithoutClock(if is_virtual { arduino.simulated() } else { arduino })))
             }
@@ -128,7 +132,9 @@ fn laser(entry: &LaserEntry, gates: &Gates, is_virtual: bool) -> Result<Box<dyn 
 /// Lasers are known by what they say of themselves, never by the port they are found on.
 fn named(serial: Option<&String>, name: &str) -> Result<String, DeviceError> {
     serial.cloned().ok_or_else(|| {
-        refused(format!("{name} has no `serial` in the instrument file; write what `devices list` shows for its port"))
+        refused(format!(
+            "{name} has no `serial` in the instrument file; write what `devices list` shows for its port"
+        ))
     })
 }
 
@@ -162,6 +168,13 @@ impl Output for GatedOutput {
         }
         self.set = Some(level);
         Ok(())
+    }
+
+    fn set_level(&mut self, level: Volts) -> Result<(), DeviceError> {
+        if self.set.is_none() {
+            return Err(DeviceError::new(ErrorKind::Busy, "gated laser", "is dark; switch it on first"));
+        }
+        self.grant(level)
     }
 
     /// The guard closes all gates before it makes any laser dark, so that the level is left to do.

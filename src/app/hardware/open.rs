@@ -55,14 +55,18 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
     let mut identities = Vec::new();
     let guard = guard.map(|(guard, state)| {
         identities.push(state.controller.to_string());
-        let lines = state.lines.iter().map(|line| format!("{} nm: {}, gate {}", line.wavelength_nm, line.identity, line.gate));
+        let lines = state
+            .lines
+            .iter()
+            .map(|line| format!("{} nm: {}, gate {}", line.wavelength_nm, line.identity, line.gate));
         identities.extend(lines);
         guard
     });
     let trigger: Option<Box<dyn TriggerSource>> = match (instrument.trigger(), &hardware.clock, &guard) {
         (TriggerKind::Gates, _, Some(guard)) => Some(Box::new(guard.clone())),
         (TriggerKind::TeensyPulse, Some(port), _) => {
-            let line = Line::open(&port.path, TeensyPulse::line_settings(), "camera clock").map_err(device)?;
+            let line =
+                Line::open(&port.path, TeensyPulse::line_settings(), "camera clock").map_err(device)?;
             Some(Box::new(TeensyPulse::connect(line, PULSE_WIDTH).map_err(device)?))
         }
         _ => None,
@@ -81,7 +85,10 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
     let cameras = [cameras::open(r)?, cameras::open(t)?];
     for (entry, camera) in [r, t].into_iter().zip(&cameras) {
         let identity = camera.identity();
-        identities.push(format!("{}: {} {}, S/N {}", entry.channel, identity.vendor, identity.model, identity.serial));
+        identities.push(format!(
+            "{}: {} {}, S/N {}",
+            entry.channel, identity.vendor, identity.model, identity.serial
+        ));
     }
     let lasers: Box<dyn Illumination> = match guard {
         Some(guard) => Box::new(guard),
@@ -97,7 +104,9 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
 fn stage(entry: &StageEntry) -> Result<Tango, AppError> {
     let line = Line::open(&entry.port.path, LINE_SETTINGS, "stage").map_err(device)?;
     let serial = entry.port.serial.clone().ok_or_else(|| {
-        AppError::Usage("the stage has no `serial` in the instrument file; write what `devices list` shows".to_owned())
+        AppError::Usage(
+            "the stage has no `serial` in the instrument file; write what `devices list` shows".to_owned(),
+        )
     })?;
     let settings = TangoSettings {
         serial,

@@ -10,7 +10,9 @@ use sofiscope_virtual::laser::{Diode, IbeamSmart, Place, Smd12};
 use sofiscope_virtual::pty::Terminal;
 use sofiscope_virtual::stage::TangoModel;
 use sofiscope_virtual::table::OpticalTable;
-use sofiscope_virtual::trigger::{ArduinoDefects, ArduinoKind, Bench, BoardSetup, VirtualArduino, VirtualGatekeeper};
+use sofiscope_virtual::trigger::{
+    ArduinoDefects, ArduinoKind, Bench, BoardSetup, VirtualArduino, VirtualGatekeeper,
+};
 use sofiscope_virtual::{EmissionLog, monotonic};
 use std::io::Read;
 use std::net::Ipv4Addr;
@@ -49,7 +51,8 @@ pub(in crate::app) struct DeviceArguments {
 /// [`AppError`] with the port or address that could not be had.
 pub(in crate::app) fn run(arguments: &DeviceArguments) -> Result<(), AppError> {
     // Ctrl-C at the terminal reaches every process of the group; a device goes when its instrument goes.
-    ctrlc::set_handler(|| {}).map_err(|error| AppError::Device(format!("signals cannot be heard: {error}")))?;
+    ctrlc::set_handler(|| {})
+        .map_err(|error| AppError::Device(format!("signals cannot be heard: {error}")))?;
     let (instrument, entry) = read(&arguments.instrument)?;
     let over = Arc::new(AtomicBool::new(false));
     let raised = Arc::clone(&over);
@@ -76,7 +79,8 @@ struct Device<'a> {
 impl Device<'_> {
     fn live(&self) -> Result<(), AppError> {
         let hardware = self.instrument.hardware();
-        let table = OpticalTable::join(&table_path(&self.entry.directory)).map_err(|error| self.failed(&error))?;
+        let table =
+            OpticalTable::join(&table_path(&self.entry.directory)).map_err(|error| self.failed(&error))?;
         match self.name {
             "gates" => self.gates(table),
             "stage" => {
@@ -89,7 +93,8 @@ impl Device<'_> {
             "camera-transmitted" => self.camera(Channel::Transmitted, table),
             "focus-camera" => self.focus_camera(table),
             name => {
-                let laser = hardware.lasers.iter().find(|laser| format!("laser-{}", laser.wavelength_nm) == name);
+                let laser =
+                    hardware.lasers.iter().find(|laser| format!("laser-{}", laser.wavelength_nm) == name);
                 self.laser(laser.ok_or_else(|| self.unknown())?, table)
             }
         }
@@ -131,13 +136,15 @@ impl Device<'_> {
             LaserLink::LaserquantumSmd12(port) => {
                 let place = place(monotonic())?;
                 self.behind_terminal(&port.path, LineSettings::new(9600), |began| {
-                    Smd12::new(Place { began, ..place }, HEAD_MW, CurrentControl::Absent)
+                    Smd12::new(Place { began, ..place }, HEAD_MW, CurrentControl::Missing)
                 })
             }
             LaserLink::Gated { level, calibration } => {
                 let full = calibration.last().map_or(0.0, |(_, power)| power.value());
-                let input = level
-                    .map_or(Input::Gate, |output| Input::Level { output: usize::from(output), threshold_v: 0.0 });
+                let input = level.map_or(Input::Gate, |output| Input::Level {
+                    output: usize::from(output),
+                    threshold_v: 0.0,
+                });
                 let began = monotonic();
                 let mut diode = Diode::new(place(began)?, input, full);
                 self.ready();
@@ -167,11 +174,15 @@ impl Device<'_> {
         let settings = GigeSettings {
             sensor,
             table: Some(table.clone()),
-            ..GigeSettings::new(self.address(camera.address.as_deref())?, camera.serial.clone().unwrap_or_default())
+            ..GigeSettings::new(
+                self.address(camera.address.as_deref())?,
+                camera.serial.clone().unwrap_or_default(),
+            )
         };
         let world = Arc::new(World::new(&scene, seed));
         let mut view = View::new(world, channel, table, self.instrument.pixel_pitch_nm());
-        let camera = GigeCamera::open(settings, move |exposure: &_, counts: &mut [u16]| view.expose(exposure, counts));
+        let camera =
+            GigeCamera::open(settings, move |exposure: &_, counts: &mut [u16]| view.expose(exposure, counts));
         self.serve(camera)
     }
 
@@ -183,9 +194,12 @@ impl Device<'_> {
             ..GigeSettings::new(self.address(Some(&focus.sensor_address))?, focus.sensor_serial.clone())
         };
         let mut spot = sofiscope_virtual::spot::Spot::new(table, 200, 64);
-        let camera = GigeCamera::open(settings, move |exposure: &sofiscope_virtual::gige::Exposure, counts: &mut [u16]| {
-            spot.render(exposure.index, monotonic(), counts);
-        });
+        let camera = GigeCamera::open(
+            settings,
+            move |exposure: &sofiscope_virtual::gige::Exposure, counts: &mut [u16]| {
+                spot.render(exposure.index, monotonic(), counts);
+            },
+        );
         self.serve(camera)
     }
 

@@ -32,8 +32,8 @@ fn log_path(directory: &Path, device: &str) -> PathBuf {
 /// Reads an instrument file that names virtual devices.
 fn read(path: &Path) -> Result<(Instrument, VirtualEntry), AppError> {
     let text = read_text(path, MOST_BYTES)?;
-    let instrument =
-        Instrument::from_toml(&text).map_err(|faults| AppError::Usage(format!("{}: {faults}", path.display())))?;
+    let instrument = Instrument::from_toml(&text)
+        .map_err(|faults| AppError::Usage(format!("{}: {faults}", path.display())))?;
     let entry = instrument.hardware().virtual_devices.clone().ok_or_else(|| {
         AppError::Usage(format!(
             "{}: has no `[virtual]` table; only virtual devices can be started, as in config/virtual.toml",

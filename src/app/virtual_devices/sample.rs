@@ -28,14 +28,16 @@ pub(super) struct View {
 }
 
 impl View {
-    pub(super) fn new(
-        world: Arc<World>,
-        channel: Channel,
-        table: OpticalTable,
-        pixel_pitch_nm: f64,
-    ) -> Self {
+    pub(super) fn new(world: Arc<World>, channel: Channel, table: OpticalTable, pixel_pitch_nm: f64) -> Self {
         let num_pixels = world.scene().num_pixels();
-        Self { world, channel, table, pixel_pitch_nm, whole: vec![0; num_pixels], blurred: vec![0; num_pixels] }
+        Self {
+            world,
+            channel,
+            table,
+            pixel_pitch_nm,
+            whole: vec![0; num_pixels],
+            blurred: vec![0; num_pixels],
+        }
     }
 
     /// Fills the counts of one exposure.
@@ -55,7 +57,7 @@ impl View {
             blur(&self.whole, &mut self.blurred, width);
             std::mem::swap(&mut self.whole, &mut self.blurred);
         }
-        let shift = |quantity, home| {
+        let shift = |quantity, home: f64| -> i64 {
             ((self.table.get(quantity) - home) * 1000.0 / self.pixel_pitch_nm).round() as i64
         };
         let (dx, dy) = (shift(Quantity::StageX, HOME_UM[0]), shift(Quantity::StageY, HOME_UM[1]));
@@ -95,7 +97,8 @@ fn blur(from: &[u16], to: &mut [u16], width: usize) {
         if at % width == 0 || at % width == width - 1 {
             continue;
         }
-        let sum = [at, at - 1, at + 1, at - width, at + width].iter().map(|&at| u32::from(from[at])).sum::<u32>();
+        let sum =
+            [at, at - 1, at + 1, at - width, at + width].iter().map(|&at| u32::from(from[at])).sum::<u32>();
         to[at] = u16::try_from(sum / 5).unwrap_or(u16::MAX);
     }
 }

@@ -25,9 +25,8 @@ impl VirtualInstrument {
     /// [`AppError`] with the device that could not be started; the others are ended.
     pub(in crate::app) fn up(path: &Path) -> Result<Self, AppError> {
         let (instrument, entry) = read(path)?;
-        let failed = |error: std::io::Error| {
-            AppError::Device(format!("{}: {error}", entry.directory.display()))
-        };
+        let failed =
+            |error: std::io::Error| AppError::Device(format!("{}: {error}", entry.directory.display()));
         std::fs::create_dir_all(&entry.directory).map_err(failed)?;
         let table = table_path(&entry.directory);
         if table.exists() {
@@ -56,8 +55,10 @@ impl VirtualInstrument {
 
     /// The first device that has ended, if one has.
     pub(in crate::app) fn ended(&mut self) -> Option<String> {
-        let ended = self.devices.iter_mut().find(|(_, child)| !matches!(child.try_wait(), Ok(None)));
-        ended.map(|(name, _)| name.clone())
+        self.devices.iter_mut().find_map(|(name, child)| {
+            let is_alive = matches!(child.try_wait(), Ok(None));
+            (!is_alive).then(|| name.clone())
+        })
     }
 
     fn start(&mut self, instrument: &Path, name: &str) -> Result<(), AppError> {
@@ -79,14 +80,17 @@ impl VirtualInstrument {
         let name = "libsofiscope_madlib_stand_in.so";
         let program = std::env::current_exe().map_err(|error| AppError::Device(error.to_string()))?;
         let folder = program.parent().unwrap_or(Path::new(""));
-        let found = [folder.join(name), folder.join("deps").join(name)].into_iter().find(|path| path.exists());
+        let found =
+            [folder.join(name), folder.join("deps").join(name)].into_iter().find(|path| path.exists());
         let link = self.directory.join("libmadlib.so");
         let _old = std::fs::remove_file(&link);
         match found {
             Some(found) => std::os::unix::fs::symlink(found, &link)
                 .map_err(|error| AppError::Device(format!("{}: {error}", link.display()))),
             None => {
-                tracing::warn!("{name} is not beside the program: the virtual piezo is missing; build the workspace");
+                tracing::warn!(
+                    "{name} is not beside the program: the virtual piezo is missing; build the workspace"
+                );
                 Ok(())
             }
         }
