@@ -22,8 +22,8 @@ pub mod gige;
 pub mod laser;
 pub mod log;
 pub mod pty;
-pub mod stage;
 pub mod spot;
+pub mod stage;
 pub mod table;
 pub mod trigger;
 

@@ -1,13 +1,14 @@
 //! One virtual device, until the program that started it is gone.
 
-use sofiscope_hal::Channel;
+use sofiscope_hal::{Channel, Region};
 use sofiscope_serial_line::{LineModel, LineSettings, Wire};
 use sofiscope_sim::{Scene, World};
-use sofiscope_virtual::gige::{GigeCamera, GigeSettings};
+use sofiscope_virtual::gige::{Exposure, GigeCamera, GigeSettings};
 use sofiscope_virtual::laser::diode::Input;
 use sofiscope_virtual::laser::smd12::CurrentControl;
 use sofiscope_virtual::laser::{Diode, IbeamSmart, Place, Smd12};
 use sofiscope_virtual::pty::Terminal;
+use sofiscope_virtual::spot::{FocusSpot, SpotScene};
 use sofiscope_virtual::stage::TangoModel;
 use sofiscope_virtual::table::OpticalTable;
 use sofiscope_virtual::trigger::{
@@ -193,13 +194,12 @@ impl Device<'_> {
             table: Some(table.clone()),
             ..GigeSettings::new(self.address(Some(&focus.sensor_address))?, focus.sensor_serial.clone())
         };
-        let mut spot = sofiscope_virtual::spot::Spot::new(table, 200, 64);
-        let camera = GigeCamera::open(
-            settings,
-            move |exposure: &sofiscope_virtual::gige::Exposure, counts: &mut [u16]| {
-                spot.render(exposure.index, monotonic(), counts);
-            },
-        );
+        let scene = SpotScene { zero_px: 100.0, row_px: 32.0, ..SpotScene::default() };
+        let mut spot = FocusSpot::new(table, scene);
+        let camera = GigeCamera::open(settings, move |exposure: &Exposure, counts: &mut [u16]| {
+            let Exposure { left, top, width, height, .. } = *exposure;
+            spot.render(Region { left, top, width, height }, exposure.index, monotonic(), counts);
+        });
         self.serve(camera)
     }
 
