@@ -13,10 +13,13 @@
 //! }
 //! ```
 
+mod focus_sensor;
 mod frames;
 mod states;
 #[cfg(test)]
 mod tests;
+
+pub use focus_sensor::{FocusSensorRig, focus_sensor};
 
 use std::time::Duration;
 
