@@ -3,7 +3,7 @@
 use crate::acquisition::Patience;
 use crate::config::TriggerKind;
 use crate::control::contracts::Illumination;
-use crate::control::plan::{AcquisitionEvent, CameraWish, Duties, OnRecordDrop, Readback, RecordingFormat};
+use crate::control::plan::{AcquisitionEvent, CameraWish, Duties, FocusWish, OnRecordDrop, Readback, RecordingFormat};
 use crate::control::sequencer::{CameraStation, Devices};
 use crate::control::stop_rule::StopRule;
 use sofiscope_hal::{Camera, CameraIdentity, Channel, DeviceError, Region, TriggerSource};
@@ -87,6 +87,6 @@ pub(super) fn series(period: Duration, exposures: u64, recording: RecordingForma
         exposures: Some(exposures),
         stop: StopRule::default(),
         laser_power_mw: BTreeMap::new(),
-        duties: Duties { recording, on_record_drop: OnRecordDrop::Stop },
+        duties: Duties { recording, on_record_drop: OnRecordDrop::Stop, focus: FocusWish::Off },
     }
 }

@@ -172,6 +172,21 @@ pub trait StageDrive {
     fn move_to(&mut self, position: &StagePosition) -> Result<(), DeviceError>;
 }
 
+/// The focus lock.
+pub trait FocusHold {
+    /// Locks, and waits until it holds.
+    ///
+    /// # Errors
+    /// Why it does not hold; the drive then stays where it is.
+    fn lock(&mut self) -> Result<(), DeviceError>;
+
+    /// Looks whether it still holds, and remembers how well.
+    ///
+    /// # Errors
+    /// Why it holds no longer.
+    fn look(&mut self) -> Result<(), DeviceError>;
+}
+
 /// The monotonic clock of this computer.
 pub trait Clock {
     /// Now.

@@ -20,7 +20,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, TryRecvError};
 use sofiscope_hal::HostTime;
 
 use super::contracts::{Clock, DataPath, DataPathError, Drain, PathProgress, StopRecord};
-use super::plan::{AcquisitionEvent, OnRecordDrop, Plan};
+use super::plan::{AcquisitionEvent, FocusWish, OnRecordDrop, Plan};
 use super::run_state::{Action, FinishReason, Input, RunPhase, RunState};
 use super::stop_rule::{Progress, Verdict};
 
@@ -133,6 +133,8 @@ struct Series {
     before: Duration,
     /// When the last exposure was settled.
     moved: HostTime,
+    /// Whether the loss of the focus lock has been told.
+    is_unfocused: bool,
 }
 
 impl Series {
@@ -147,6 +149,7 @@ impl Series {
             since: None,
             before: Duration::ZERO,
             moved: now,
+            is_unfocused: false,
         }
     }
 
@@ -225,7 +228,24 @@ impl Sequencer<'_> {
             {
                 self.fail(series, taken);
             }
+            self.look_at_focus(series);
             self.tell(series);
+        }
+    }
+
+    /// Frames without focus are kept: the stop record says that there are some.
+    fn look_at_focus(&mut self, series: &mut Series) {
+        if series.event.duties.focus == FocusWish::Off {
+            return;
+        }
+        match self.devices.look_at_focus() {
+            Ok(()) => series.is_unfocused = false,
+            Err(error) if !series.is_unfocused => {
+                series.is_unfocused = true;
+                tracing::warn!("{error}");
+                series.failures.push(format!("after {} exposures: {error}", series.progress.frames));
+            }
+            Err(_) => {}
         }
     }
 

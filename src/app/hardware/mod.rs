@@ -6,6 +6,7 @@
 
 mod cameras;
 mod drive;
+mod focus;
 mod guarded;
 mod lights;
 mod open;

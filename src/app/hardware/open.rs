@@ -12,7 +12,7 @@ use super::cameras;
 use super::drive::AwaitedStage;
 use super::guarded::Guarded;
 use crate::config::{Instrument, StageEntry, TriggerKind};
-use crate::control::contracts::{Illumination, NoLasers, StageDrive};
+use crate::control::contracts::{FocusHold, Illumination, NoLasers, StageDrive};
 use crate::control::sequencer::{CameraStation, Devices};
 
 /// The stage is never faster than this, millimeters per second.
@@ -94,8 +94,18 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
         Some(guard) => Box::new(guard),
         None => Box::new(NoLasers),
     };
+    let focus = match &hardware.focus {
+        None => None,
+        Some(entry) => {
+            let focus = super::focus::open(entry, hardware.virtual_devices.as_ref())?;
+            identities.push("focus lock: Nano-Drive and spot camera".to_owned());
+            Some(Box::new(focus) as Box<dyn FocusHold>)
+        }
+    };
+    let mut rig = rig(instrument, cameras, trigger, lasers, stage);
+    rig.devices = rig.devices.with_focus(focus);
     Ok(Opened {
-        rig: rig(instrument, cameras, trigger, lasers, stage),
+        rig,
         is_virtual: hardware.virtual_devices.is_some(),
         identities,
     })

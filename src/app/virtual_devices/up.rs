@@ -77,20 +77,13 @@ impl VirtualInstrument {
 
     /// The virtual piezo is a library and no program; it is found beside this one.
     fn link_piezo(&self) -> Result<(), AppError> {
-        let name = "libsofiscope_madlib_stand_in.so";
-        let program = std::env::current_exe().map_err(|error| AppError::Device(error.to_string()))?;
-        let folder = program.parent().unwrap_or(Path::new(""));
-        let found =
-            [folder.join(name), folder.join("deps").join(name)].into_iter().find(|path| path.exists());
         let link = self.directory.join("libmadlib.so");
         let _old = std::fs::remove_file(&link);
-        match found {
-            Some(found) => std::os::unix::fs::symlink(found, &link)
+        match sofiscope_madlib_stand_in::library() {
+            Ok(found) => std::os::unix::fs::symlink(found, &link)
                 .map_err(|error| AppError::Device(format!("{}: {error}", link.display()))),
-            None => {
-                tracing::warn!(
-                    "{name} is not beside the program: the virtual piezo is missing; build the workspace"
-                );
+            Err(reason) => {
+                eprintln!("the virtual piezo is missing: {reason}");
                 Ok(())
             }
         }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use sofiscope_hal::Region;
 
 use super::raw::{self, RawPlan, RawRegion};
-use super::{
+use super::{FocusWish, 
     CameraWish, OnRecordDrop, Plan, PlanFaults, Readback, RecordingFormat, StagePosition, TRIGGERS, VERSION,
 };
 use crate::config::{AnalysisSettings, Catalogue, Findings, Judge, Node};
@@ -83,6 +83,7 @@ impl Check<'_> {
                 &OnRecordDrop::NAMES,
             ),
             recording: self.choice(&key("recording"), raw.run.recording.as_deref(), &RecordingFormat::NAMES),
+            focus: self.choice(&key("focus_lock"), raw.run.focus_lock.as_deref(), &FocusWish::NAMES),
             metadata: raw.metadata.clone(),
         }
     }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use super::{CameraWish, OnRecordDrop, Plan, RecordingFormat, StagePosition};
+use super::{CameraWish, FocusWish, OnRecordDrop, Plan, RecordingFormat, StagePosition};
 use crate::control::stop_rule::StopRule;
 
 /// One step of a plan: one series of exposures at one place.
@@ -21,17 +21,19 @@ pub struct AcquisitionEvent {
     pub stop: StopRule,
     /// Power of each laser line, milliwatts by nanometers.
     pub laser_power_mw: BTreeMap<u32, f64>,
-    /// What is to be kept of the series.
+    /// What is to be kept of the series, and what must hold.
     pub duties: Duties,
 }
 
-/// What is to be kept of a series.
+/// What is to be kept of a series, and what must hold during it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Duties {
     /// In which format frames are recorded.
     pub recording: RecordingFormat,
     /// What happens when the recording loses a frame.
     pub on_record_drop: OnRecordDrop,
+    /// Whether the focus lock holds.
+    pub focus: FocusWish,
 }
 
 impl Plan {
@@ -46,7 +48,11 @@ impl Plan {
             exposures: self.loops,
             stop: self.stop.clone(),
             laser_power_mw: self.laser_power_mw.clone(),
-            duties: Duties { recording: self.recording, on_record_drop: self.on_record_drop },
+            duties: Duties {
+                recording: self.recording,
+                on_record_drop: self.on_record_drop,
+                focus: self.focus,
+            },
         })
     }
 

@@ -120,6 +120,21 @@ impl RecordingFormat {
         [("ome-tiff", Self::OmeTiff), ("ome-zarr", Self::OmeZarr), ("none", Self::None)];
 }
 
+/// Whether the focus lock holds during a series.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FocusWish {
+    /// It is left as it is.
+    #[default]
+    Off,
+    /// It must hold before the first exposure; a series during which it is lost says so.
+    Hold,
+}
+
+impl FocusWish {
+    const NAMES: [(&'static str, Self); 2] = [("off", Self::Off), ("hold", Self::Hold)];
+}
+
 const TRIGGERS: [(&str, TriggerMode); 2] =
     [("external", TriggerMode::External), ("free-running", TriggerMode::FreeRunning)];
 
@@ -136,6 +151,7 @@ pub struct Plan {
     stop: StopRule,
     on_record_drop: OnRecordDrop,
     recording: RecordingFormat,
+    focus: FocusWish,
     metadata: Map<String, Value>,
 }
 
@@ -200,6 +216,12 @@ impl Plan {
     #[must_use]
     pub fn recording(&self) -> RecordingFormat {
         self.recording
+    }
+
+    /// Whether the focus lock holds.
+    #[must_use]
+    pub fn focus(&self) -> FocusWish {
+        self.focus
     }
 
     /// Metadata of other programs, as it came.

@@ -183,6 +183,8 @@ pub struct RawRun {
     pub on_record_drop: Option<String>,
     /// `ome-tiff`, `ome-zarr` or `none`.
     pub recording: Option<String>,
+    /// `off` or `hold`.
+    pub focus_lock: Option<String>,
 }
 
 /// A plan as typed.
@@ -217,7 +219,7 @@ pub struct RawPlan {
 const NOT_SUPPORTED: [(&str, &str); 5] = [
     ("z_plan", "the focus stays where it is during a series"),
     ("grid_plan", "write the places as stage_positions"),
-    ("autofocus_plan", "the focus lock is not driven by plans"),
+    ("autofocus_plan", "write `focus_lock: hold` in metadata.sofiscope instead"),
     ("tiles", "write the places as stage_positions"),
     ("replicates", "write the repetitions as stage_positions"),
 ];

@@ -3,7 +3,7 @@
 use serde_json::{Map, Value, json};
 use sofiscope_hal::Region;
 
-use super::{OnRecordDrop, Plan, Readback, RecordingFormat, TRIGGERS, VERSION};
+use super::{FocusWish, OnRecordDrop, Plan, Readback, RecordingFormat, TRIGGERS, VERSION};
 
 impl Plan {
     /// The plan in YAML; reading it gives the same plan.
@@ -56,6 +56,7 @@ impl Plan {
                 "resolution_nm": self.stop.resolution_nm,
             },
             "on_record_drop": OnRecordDrop::NAMES[self.on_record_drop as usize].0,
+            "focus_lock": FocusWish::NAMES[self.focus as usize].0,
             "recording": RecordingFormat::NAMES[self.recording as usize].0,
         })
     }

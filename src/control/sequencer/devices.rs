@@ -9,8 +9,8 @@ use std::time::Duration;
 use sofiscope_hal::{Camera, CameraSettings, Channel, Region, TriggerMode, TriggerSource};
 
 use super::readback::mismatches;
-use crate::control::contracts::{ArmedCamera, DataPathError, Illumination, StageDrive};
-use crate::control::plan::{AcquisitionEvent, Readback};
+use crate::control::contracts::{ArmedCamera, DataPathError, FocusHold, Illumination, StageDrive};
+use crate::control::plan::{AcquisitionEvent, FocusWish, Readback};
 
 /// One camera in its place.
 pub struct CameraStation {
@@ -28,6 +28,7 @@ pub struct Devices {
     trigger: Option<Box<dyn TriggerSource>>,
     lasers: Box<dyn Illumination>,
     stage: Option<Box<dyn StageDrive>>,
+    focus: Option<Box<dyn FocusHold>>,
     actual: Vec<CameraSettings>,
 }
 
@@ -40,7 +41,13 @@ impl Devices {
         lasers: Box<dyn Illumination>,
         stage: Option<Box<dyn StageDrive>>,
     ) -> Self {
-        Self { cameras, trigger, lasers, stage, actual: Vec::new() }
+        Self { cameras, trigger, lasers, stage, focus: None, actual: Vec::new() }
+    }
+
+    /// The same with a focus lock.
+    #[must_use]
+    pub fn with_focus(self, focus: Option<Box<dyn FocusHold>>) -> Self {
+        Self { focus, ..self }
     }
 
     /// What each camera really does since the last setting up, in the order of the cameras.
@@ -65,6 +72,12 @@ impl Devices {
                 device("the plan names a stage position, and the instrument has no stage; remove stage_positions")
             })?;
             stage.move_to(position).map_err(DataPathError::from)?;
+        }
+        if event.duties.focus == FocusWish::Hold {
+            let focus = self.focus.as_mut().ok_or_else(|| {
+                device("the plan wants the focus lock to hold, and the instrument has none; write focus_lock: off")
+            })?;
+            focus.lock().map_err(DataPathError::from)?;
         }
         self.actual.clear();
         let mut complaints = Vec::new();
@@ -145,6 +158,11 @@ impl Devices {
     /// Holds the light on; whatever took it away is a matter of safety.
     pub(super) fn hold(&mut self) -> Result<(), DataPathError> {
         self.lasers.hold().map_err(|error| DataPathError::Safety(error.to_string()))
+    }
+
+    /// Looks at the focus lock, where there is one; a lost lock is told and ends nothing.
+    pub(super) fn look_at_focus(&mut self) -> Result<(), DataPathError> {
+        self.focus.as_mut().map_or(Ok(()), |focus| focus.look().map_err(DataPathError::from))
     }
 
     pub(super) fn start_trigger(&mut self, pulses: Option<u64>) -> Result<(), DataPathError> {

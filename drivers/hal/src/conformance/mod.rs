@@ -15,6 +15,7 @@
 //! ```
 
 mod focus_drive;
+mod focus_sensor;
 mod frames;
 #[cfg(test)]
 mod gate_tests;
@@ -28,6 +29,7 @@ mod tests;
 pub use gates::{GateRig, gates};
 pub use laser::{LaserRig, laser};
 pub use stage::{StageRig, stage};
+pub use focus_sensor::{FocusSensorRig, focus_sensor};
 
 use std::time::Duration;
 
