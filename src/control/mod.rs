@@ -5,6 +5,7 @@
 //! Fails: faults of plans all at once; a run that fails ends like any other, with its reason.
 
 pub mod contracts;
+pub mod focus_lock;
 pub mod plan;
 pub mod preflight;
 pub mod run_state;

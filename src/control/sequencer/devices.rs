@@ -46,8 +46,9 @@ impl Devices {
 
     /// The same with a focus lock.
     #[must_use]
-    pub fn with_focus(self, focus: Option<Box<dyn FocusHold>>) -> Self {
-        Self { focus, ..self }
+    pub fn with_focus(mut self, focus: Option<Box<dyn FocusHold>>) -> Self {
+        self.focus = focus;
+        self
     }
 
     /// What each camera really does since the last setting up, in the order of the cameras.
