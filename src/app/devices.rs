@@ -40,6 +40,19 @@ enum What {
         #[arg(long)]
         json: bool,
     },
+    /// Show what lasers and gates do, once a second, until Ctrl-C; nothing is switched on
+    Monitor {
+        /// Instrument file
+        instrument: PathBuf,
+        /// Only so many times
+        #[arg(long)]
+        times: Option<u64>,
+    },
+    /// Let the stage find its end switches; it crosses its WHOLE travel, so retract the objective before
+    Home {
+        /// Instrument file
+        instrument: PathBuf,
+    },
     /// Virtual devices: programs that speak as the real ones do
     Virtual {
         #[command(subcommand)]
@@ -64,6 +77,8 @@ pub(super) fn run(arguments: &DevicesArguments) -> Result<(), AppError> {
     match &arguments.what {
         What::List { json } => list(*json),
         What::Check { instrument, json } => check(instrument, *json),
+        What::Monitor { instrument, times } => monitor(instrument, *times),
+        What::Home { instrument } => home(instrument),
         What::Virtual { what: Virtual::Up { instrument } } => up(instrument),
     }
 }
@@ -128,10 +143,46 @@ struct Checked {
     seconds: f64,
 }
 
-fn check(path: &Path, json: bool) -> Result<(), AppError> {
+fn read(path: &Path) -> Result<(Instrument, String), AppError> {
     let text = read_text(path, MOST_BYTES)?;
     let instrument = Instrument::from_toml(&text)
         .map_err(|faults| AppError::Usage(format!("{}: {faults}", path.display())))?;
+    Ok((instrument, text))
+}
+
+fn home(path: &Path) -> Result<(), AppError> {
+    let (instrument, _) = read(path)?;
+    hardware::home(&instrument)?;
+    println!("the stage is homed: its place is known");
+    Ok(())
+}
+
+fn monitor(path: &Path, times: Option<u64>) -> Result<(), AppError> {
+    let (instrument, text) = read(path)?;
+    let interrupts = interrupts()?;
+    let watched = hardware::watch_lights(&instrument, &text)?;
+    for _ in 0..times.unwrap_or(u64::MAX) {
+        println!("{}", watched()?);
+        if interrupts.recv_timeout(Duration::from_secs(1)).is_ok() {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Where Ctrl-C arrives.
+fn interrupts() -> Result<crossbeam_channel::Receiver<()>, AppError> {
+    let (sender, interrupts) = crossbeam_channel::bounded(1);
+    ctrlc::set_handler(move || {
+        // A second one finds the first still waiting.
+        let _ = sender.try_send(());
+    })
+    .map_err(|error| AppError::Device(format!("Ctrl-C cannot be heard: {error}")))?;
+    Ok(interrupts)
+}
+
+fn check(path: &Path, json: bool) -> Result<(), AppError> {
+    let (instrument, text) = read(path)?;
     let begun = std::time::Instant::now();
     let opened = hardware::open(&instrument, &text)?;
     let checked = Checked {
@@ -152,12 +203,7 @@ fn check(path: &Path, json: bool) -> Result<(), AppError> {
 }
 
 fn up(path: &Path) -> Result<(), AppError> {
-    let (sender, interrupts) = crossbeam_channel::bounded(1);
-    ctrlc::set_handler(move || {
-        // A second one finds the first still waiting.
-        let _ = sender.try_send(());
-    })
-    .map_err(|error| AppError::Device(format!("Ctrl-C cannot be heard: {error}")))?;
+    let interrupts = interrupts()?;
     let mut devices = VirtualInstrument::up(path)?;
     for (name, process) in devices.devices() {
         println!("{name} (virtual), process {process}");

@@ -3,7 +3,9 @@
 use crate::acquisition::Patience;
 use crate::config::TriggerKind;
 use crate::control::contracts::Illumination;
-use crate::control::plan::{AcquisitionEvent, CameraWish, Duties, FocusWish, OnRecordDrop, Readback, RecordingFormat};
+use crate::control::plan::{
+    AcquisitionEvent, CameraWish, Duties, FocusWish, OnRecordDrop, Readback, RecordingFormat,
+};
 use crate::control::sequencer::{CameraStation, Devices};
 use crate::control::stop_rule::StopRule;
 use sofiscope_hal::{Camera, CameraIdentity, Channel, DeviceError, Region, TriggerSource};

@@ -66,6 +66,12 @@ impl GuardClient {
 
     /// Proves that the caller makes progress; cheap enough for every round of a loop.
     pub fn prove(&mut self) {
+        self.send_proof();
+        // Trips are heard with the next question, or here.
+        self.listen();
+    }
+
+    fn send_proof(&mut self) {
         if self.is_gone || self.proved.elapsed() < PROOF_EVERY {
             return;
         }
@@ -75,8 +81,6 @@ impl GuardClient {
         if self.messages.send(&proof).is_err() {
             self.is_gone = true;
         }
-        // Trips are heard with the next question, or here.
-        self.listen();
     }
 
     /// Why everything went dark by itself since it was armed last.
@@ -188,7 +192,8 @@ impl GuardClient {
                     return Err(gone());
                 }
             }
-            self.prove();
+            // Not `prove`, which would hear the answer and take it for a late one.
+            self.send_proof();
         }
         let message = format!("no answer within {} s; everything is to be taken as on", patience.as_secs());
         Err(DeviceError::new(ErrorKind::Timeout, "laser guard", message))

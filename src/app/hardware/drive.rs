@@ -14,6 +14,37 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// A stage whose moves are waited for.
 pub(super) struct AwaitedStage(pub(super) Box<dyn Stage>);
 
+impl AwaitedStage {
+    /// Lets the stage find its end switches and waits until it has.
+    ///
+    /// # Errors
+    /// When it does not; it is stopped then.
+    pub(super) fn home(&mut self) -> Result<(), DeviceError> {
+        self.0.begin_homing()?;
+        self.wait_still()
+    }
+
+    fn wait_still(&mut self) -> Result<(), DeviceError> {
+        let begun = Instant::now();
+        loop {
+            match self.0.motion()? {
+                Motion::Still => return Ok(()),
+                Motion::Moving if begun.elapsed() < PATIENCE => {
+                    // Nothing will ever come: this is a pause between two questions.
+                    let _ = crossbeam_channel::after(LOOK).recv();
+                }
+                other => {
+                    self.0.stopper().stop_motion()?;
+                    let name = self.0.identity().to_string();
+                    let message =
+                        format!("the move did not end ({other:?}); it was stopped, home the stage again");
+                    return Err(DeviceError::new(ErrorKind::Fault, name, message));
+                }
+            }
+        }
+    }
+}
+
 impl StageDrive for AwaitedStage {
     fn move_to(&mut self, position: &StagePosition) -> Result<(), DeviceError> {
         let name = self.0.identity().to_string();
@@ -30,21 +61,6 @@ impl StageDrive for AwaitedStage {
         let x = position.x_um.map_or(Ok(here.x), point)?;
         let y = position.y_um.map_or(Ok(here.y), point)?;
         self.0.move_to(StagePoint { x, y })?;
-        let begun = Instant::now();
-        loop {
-            match self.0.motion()? {
-                Motion::Still => return Ok(()),
-                Motion::Moving if begun.elapsed() < PATIENCE => {
-                    // Nothing will ever come: this is a pause between two questions.
-                    let _ = crossbeam_channel::after(LOOK).recv();
-                }
-                other => {
-                    self.0.stopper().stop_motion()?;
-                    let message =
-                        format!("the move did not end ({other:?}); it was stopped, home the stage again");
-                    return Err(DeviceError::new(ErrorKind::Fault, name, message));
-                }
-            }
-        }
+        self.wait_still()
     }
 }

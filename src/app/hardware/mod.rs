@@ -12,4 +12,4 @@ mod lights;
 mod open;
 
 pub(super) use guarded::{GuardArguments, run as run_guard};
-pub(super) use open::{Opened, open};
+pub(super) use open::{Opened, home, open, watch_lights};

@@ -104,10 +104,50 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
     };
     let mut rig = rig(instrument, cameras, trigger, lasers, stage);
     rig.devices = rig.devices.with_focus(focus);
-    Ok(Opened {
-        rig,
-        is_virtual: hardware.virtual_devices.is_some(),
-        identities,
+    Ok(Opened { rig, is_virtual: hardware.virtual_devices.is_some(), identities })
+}
+
+/// Lets the stage find its end switches; whoever asks for it has retracted the objective.
+///
+/// # Errors
+/// [`AppError`] when there is no stage, or it does not find them.
+pub(in crate::app) fn home(instrument: &Instrument) -> Result<(), AppError> {
+    let entry = instrument.hardware().stage.as_ref();
+    let entry = entry.ok_or_else(|| AppError::Usage("the instrument file has no `[stage]`".to_owned()))?;
+    AwaitedStage(Box::new(stage(entry)?)).home().map_err(device)
+}
+
+/// Opens lasers and gates, all dark, and gives what tells in one line what they do.
+///
+/// # Errors
+/// [`AppError`] when there are none, or one does not answer.
+pub(in crate::app) fn watch_lights(
+    instrument: &Instrument,
+    text: &str,
+) -> Result<impl Fn() -> Result<String, AppError> + use<>, AppError> {
+    if instrument.hardware().gates.is_none() {
+        return Err(AppError::Usage("the instrument file has no `[gates]` to watch".to_owned()));
+    }
+    let (guard, _) = Guarded::start(text)?;
+    Ok(move || {
+        let state = guard.state().map_err(device)?;
+        let gates = state.gates.map_or("gates UNKNOWN, take them as open".to_owned(), |gates| {
+            format!(
+                "gates {:08b}{}",
+                gates.open.0,
+                gates.trip.map_or(String::new(), |trip| format!(", tripped: {trip:?}"))
+            )
+        });
+        let lines = state.lines.iter().map(|line| match &line.laser {
+            None => format!("{} nm UNKNOWN, take it as on", line.wavelength_nm),
+            Some(laser) => format!(
+                "{} nm {:?} {:.1}",
+                line.wavelength_nm,
+                laser.emission,
+                laser.power_measured.unwrap_or(laser.power_set)
+            ),
+        });
+        Ok(format!("{gates}; {}", lines.collect::<Vec<_>>().join("; ")))
     })
 }
 

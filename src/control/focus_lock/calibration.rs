@@ -62,13 +62,19 @@ pub struct Calibration {
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum CalibrationError {
     /// Not enough places near the middle.
-    #[error("only {0} of the sweep's places have a usable signal within ± 500 nm of its middle; at least 5 are needed")]
+    #[error(
+        "only {0} of the sweep's places have a usable signal within ± 500 nm of its middle; at least 5 are needed"
+    )]
     TooFew(usize),
     /// The signal is no line there.
-    #[error("the signal does not follow a line (r² = {0:.3}, at least 0.99 is needed); check the beam and reduce vibrations")]
+    #[error(
+        "the signal does not follow a line (r² = {0:.3}, at least 0.99 is needed); check the beam and reduce vibrations"
+    )]
     NoLine(f64),
     /// The signal hardly changes.
-    #[error("the signal changes by {found:.4} per µm only, at least {needed} is needed; check the angle of the beam")]
+    #[error(
+        "the signal changes by {found:.4} per µm only, at least {needed} is needed; check the angle of the beam"
+    )]
     Flat {
         /// What was found.
         found: f64,
@@ -84,7 +90,8 @@ impl Calibration {
     /// # Errors
     /// [`CalibrationError`].
     pub fn from_sweep(sweep: &[SweepPoint], least_slope_per_um: f64) -> Result<Self, CalibrationError> {
-        let usable: Vec<&SweepPoint> = sweep.iter().filter(|point| point.reading.signal.is_finite()).collect();
+        let usable: Vec<&SweepPoint> =
+            sweep.iter().filter(|point| point.reading.signal.is_finite()).collect();
         let middle = middle_of(&usable);
         let near: Vec<(f64, f64)> = usable
             .iter()
@@ -119,9 +126,10 @@ impl Calibration {
 }
 
 fn middle_of(points: &[&SweepPoint]) -> f64 {
-    let (least, greatest) = points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, greatest), point| {
-        (least.min(point.z.value()), greatest.max(point.z.value()))
-    });
+    let (least, greatest) =
+        points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, greatest), point| {
+            (least.min(point.z.value()), greatest.max(point.z.value()))
+        });
     f64::midpoint(least, greatest)
 }
 
@@ -150,8 +158,10 @@ fn near_light(points: &[&SweepPoint], middle: f64) -> f64 {
 
 /// How far from the middle the signal still changes the right way, on the shorter side.
 fn capture_nm(points: &[&SweepPoint], middle: f64, slope: f64) -> f64 {
-    let mut sorted: Vec<(f64, f64)> =
-        points.iter().map(|point| (point.z.value() - middle, point.reading.signal * slope.signum())).collect();
+    let mut sorted: Vec<(f64, f64)> = points
+        .iter()
+        .map(|point| (point.z.value() - middle, point.reading.signal * slope.signum()))
+        .collect();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
     let reach = |side: &mut dyn Iterator<Item = &(f64, f64)>, rises: f64| {
         let (mut far, mut last) = (0.0_f64, None::<f64>);

@@ -199,7 +199,9 @@ fn lost(end: LockEnd, z: Nanometers, since: HostTime, now: HostTime) -> (FocusLo
         LockEnd::SignalLost | LockEnd::FarOff | LockEnd::Diverging if now.since(since) >= SETTLE => {
             (FocusLock::begin(z, now), Correction::Stay)
         }
-        LockEnd::SignalLost | LockEnd::FarOff | LockEnd::Diverging => (FocusLock::Lost { end, z, since }, Correction::Stay),
+        LockEnd::SignalLost | LockEnd::FarOff | LockEnd::Diverging => {
+            (FocusLock::Lost { end, z, since }, Correction::Stay)
+        }
         _ => (FocusLock::Off(Some(end)), Correction::Stay),
     }
 }
@@ -235,7 +237,8 @@ impl Search {
         }
         if self.is_last_look {
             let is_over = now.since(self.moved) >= LAST_LOOK;
-            let next = if is_over { FocusLock::Off(Some(LockEnd::NotFound)) } else { FocusLock::Searching(self) };
+            let next =
+                if is_over { FocusLock::Off(Some(LockEnd::NotFound)) } else { FocusLock::Searching(self) };
             return (next, Correction::Stay);
         }
         self.place += 1;
@@ -269,9 +272,7 @@ impl Probe {
         if now.since(self.sent) < SETTLE {
             return (FocusLock::Probing(self), Correction::Stay);
         }
-        let back = |end| {
-            (FocusLock::Lost { end, z: self.from, since: now }, Correction::MoveTo(self.from))
-        };
+        let back = |end| (FocusLock::Lost { end, z: self.from, since: now }, Correction::MoveTo(self.from));
         let Some(reading) = believed else { return back(LockEnd::SignalLost) };
         let error_nm = settings.calibration.error_nm(reading);
         let expected = -PROBE_NM.copysign(self.before_nm);

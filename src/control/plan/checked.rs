@@ -5,8 +5,9 @@ use std::time::Duration;
 use sofiscope_hal::Region;
 
 use super::raw::{self, RawPlan, RawRegion};
-use super::{FocusWish, 
-    CameraWish, OnRecordDrop, Plan, PlanFaults, Readback, RecordingFormat, StagePosition, TRIGGERS, VERSION,
+use super::{
+    CameraWish, FocusWish, OnRecordDrop, Plan, PlanFaults, Readback, RecordingFormat, StagePosition,
+    TRIGGERS, VERSION,
 };
 use crate::config::{AnalysisSettings, Catalogue, Findings, Judge, Node};
 use crate::control::stop_rule::StopRule;

@@ -26,10 +26,10 @@ mod states;
 #[cfg(test)]
 mod tests;
 
+pub use focus_sensor::{FocusSensorRig, focus_sensor};
 pub use gates::{GateRig, gates};
 pub use laser::{LaserRig, laser};
 pub use stage::{StageRig, stage};
-pub use focus_sensor::{FocusSensorRig, focus_sensor};
 
 use std::time::Duration;
 
