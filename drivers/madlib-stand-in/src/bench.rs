@@ -16,6 +16,7 @@
 //! | `slow 600` | the next call takes so many milliseconds |
 //! | `unplug`, `plug` | cable |
 //! | `owned`, `free` | another program owns the device, or not |
+//! | `at 150` | a person has focused there, micrometers |
 //! | `table /path` | tells an optical table where the piezo is |
 //! | `where`, `open` | answers: true position in micrometers, handles in use |
 
@@ -231,6 +232,10 @@ impl Bench {
             ["plug"] => self.unplugged = false,
             ["owned"] => self.owned = true,
             ["free"] => self.owned = false,
+            ["at", um] => {
+                let um = number(um)?;
+                (self.plant.z_um, self.plant.target_um) = (um, um);
+            }
             ["table", path] => {
                 let table =
                     OpticalTable::join(Path::new(path)).map_err(|error| format!("{path}: {error}"))?;

@@ -3,6 +3,7 @@
 use sofiscope_focus_sensor::{SpotMethod, SpotSensor, SpotSettings};
 use sofiscope_hal::{DeviceError, ErrorKind, FocusDrive, HostTime, Nanometers, Region};
 use sofiscope_madlib::{Madlib, NanoDrive, NanoDriveOptions};
+use sofiscope_virtual::table::{OpticalTable, Quantity};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -67,6 +68,13 @@ fn put_on_table(library: &Path, directory: &Path) -> Result<(), AppError> {
     let failed = |error: String| AppError::Device(format!("{}: {error}", library.display()));
     let table = directory.join("table");
     let remote = sofiscope_madlib_stand_in::Remote::open(library).map_err(failed)?;
+    let sample_nm = OpticalTable::join(&table)
+        .map_err(|error| {
+            AppError::Device(format!("{}: {error}; start the virtual devices", table.display()))
+        })?
+        .get(Quantity::SampleZ);
+    // A person has focused by hand before.
+    remote.say(&format!("at {}", sample_nm / 1000.0)).map_err(failed)?;
     remote.say(&format!("table {}", table.display())).map_err(failed)?;
     Ok(())
 }
