@@ -22,6 +22,12 @@ pub enum AppError {
     File(#[from] FileError),
 }
 
+impl From<sofiscope_hal::DeviceError> for AppError {
+    fn from(error: sofiscope_hal::DeviceError) -> Self {
+        Self::Device(error.to_string())
+    }
+}
+
 impl AppError {
     /// 2 usage or configuration, 3 device, 4 data, 5 safety trip.
     #[must_use]

@@ -17,10 +17,10 @@ use crate::display::PngNotes;
 use crate::files::OutputDirectory;
 use crate::reconstruction::Quality;
 use serde::Serialize;
-use sofiscope_hal::HostTime;
+use sofiscope_hal::{HostTime, StopMotion};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 /// Commands that may wait for the sequencer.
@@ -104,7 +104,7 @@ pub(super) fn acquire(
 }
 
 /// The place to which Ctrl-C is told; one for the whole program, as there is one keyboard.
-static INTERRUPTS: OnceLock<std::sync::Mutex<Option<crossbeam_channel::Sender<Command>>>> = OnceLock::new();
+static INTERRUPTS: OnceLock<Mutex<Option<crossbeam_channel::Sender<Command>>>> = OnceLock::new();
 
 /// While this is held, Ctrl-C is a command to the sequencer; afterwards it ends the program again.
 struct Listening;
@@ -112,7 +112,7 @@ struct Listening;
 fn listen_for_interrupts(sender: crossbeam_channel::Sender<Command>) -> Result<Listening, AppError> {
     let slot = INTERRUPTS.get_or_init(Default::default);
     let is_first = {
-        let mut slot = slot.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut slot = slot.lock().unwrap_or_else(PoisonError::into_inner);
         slot.replace(sender).is_none()
     };
     static HANDLER: OnceLock<Result<(), String>> = OnceLock::new();
@@ -124,9 +124,22 @@ fn listen_for_interrupts(sender: crossbeam_channel::Sender<Command>) -> Result<L
     }
 }
 
+/// What stops motion past every queue; the stage of the open instrument, if it has one.
+static STOPPERS: Mutex<Vec<Box<dyn StopMotion>>> = Mutex::new(Vec::new());
+
+/// From now on Ctrl-C stops this too, before anything else.
+pub(super) fn stop_with_interrupts(stopper: Box<dyn StopMotion>) {
+    STOPPERS.lock().unwrap_or_else(PoisonError::into_inner).push(stopper);
+}
+
 fn interrupted() {
+    for stopper in STOPPERS.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+        if let Err(error) = stopper.stop_motion() {
+            eprintln!("STOP could not be sent: {error}");
+        }
+    }
     let slot = INTERRUPTS.get_or_init(Default::default);
-    let listener = slot.lock().unwrap_or_else(std::sync::PoisonError::into_inner).clone();
+    let listener = slot.lock().unwrap_or_else(PoisonError::into_inner).clone();
     match listener {
         Some(sender) => {
             // A full queue holds a stop already.
@@ -145,7 +158,7 @@ fn end_program() {
 impl Drop for Listening {
     fn drop(&mut self) {
         if let Some(slot) = INTERRUPTS.get() {
-            *slot.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = None;
+            *slot.lock().unwrap_or_else(PoisonError::into_inner) = None;
         }
     }
 }

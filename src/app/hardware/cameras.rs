@@ -18,8 +18,8 @@ pub(super) fn open(entry: &CameraEntry) -> Result<Box<dyn Camera>, AppError> {
     match entry.kind {
         CameraKind::Genicam => genicam(&entry.channel.to_string(), &serial, entry.address.as_deref()),
         CameraKind::Dcam => {
-            let library = Dcam::open(entry.library.as_deref().map(Path::new)).map_err(device)?;
-            Ok(Box::new(DcamCamera::open(&library, &serial, DcamOptions::default()).map_err(device)?))
+            let library = Dcam::open(entry.library.as_deref().map(Path::new))?;
+            Ok(Box::new(DcamCamera::open(&library, &serial, DcamOptions::default())?))
         }
         CameraKind::Simulated => Err(AppError::Usage(format!(
             "{} is simulated and the other is not; name two simulated cameras, or none",
@@ -42,7 +42,7 @@ pub(super) fn genicam(name: &str, serial: &str, address: Option<&str>) -> Result
             AppError::Usage(format!("{name}: address {address} is no IPv4 address such as 192.168.0.2"))
         })?),
     };
-    let camera = GenicamCamera::open(settings).map_err(device)?;
+    let camera = GenicamCamera::open(settings)?;
     for advice in camera.advice() {
         tracing::warn!("{name}: {advice}");
     }
@@ -55,8 +55,4 @@ pub(super) fn genicam(name: &str, serial: &str, _address: Option<&str>) -> Resul
         "{name} (GenICam, S/N {serial}): this program was built without GenICam; install libaravis-dev and build \
          it with `cargo build --release --features aravis`"
     )))
-}
-
-fn device(error: sofiscope_hal::DeviceError) -> AppError {
-    AppError::Device(error.to_string())
 }

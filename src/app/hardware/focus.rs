@@ -37,14 +37,13 @@ pub(super) struct Focus {
 /// # Errors
 /// [`AppError::Device`] with what was looked for and what was found.
 pub(super) fn open(entry: &FocusEntry, virtual_devices: Option<&VirtualEntry>) -> Result<Focus, AppError> {
-    let device = |error: DeviceError| AppError::Device(error.to_string());
     if let (Some(library), Some(shared)) = (&entry.library, virtual_devices) {
         put_on_table(library, &shared.directory)?;
     }
-    let library = Madlib::open(entry.library.as_deref()).map_err(device)?;
+    let library = Madlib::open(entry.library.as_deref())?;
     let serial = entry.serial.as_ref().and_then(|serial| serial.parse().ok());
     let options = NanoDriveOptions { serial, ..NanoDriveOptions::within(entry.range.0..=entry.range.1) };
-    let drive = NanoDrive::open(&library, options).map_err(device)?;
+    let drive = NanoDrive::open(&library, options)?;
     let camera = cameras::genicam("focus camera", &entry.sensor_serial, Some(&entry.sensor_address))?;
     let (width, height) = (camera.capabilities().sensor_width, camera.capabilities().sensor_height);
     let settings = SpotSettings {
@@ -56,7 +55,7 @@ pub(super) fn open(entry: &FocusEntry, virtual_devices: Option<&VirtualEntry>) -
     };
     let begun = Instant::now();
     let now = move || HostTime(u64::try_from(begun.elapsed().as_nanos()).unwrap_or(u64::MAX));
-    let sensor = SpotSensor::open(camera, &settings, Box::new(now)).map_err(device)?;
+    let sensor = SpotSensor::open(camera, &settings, Box::new(now))?;
     let drive: Box<dyn FocusDrive> = Box::new(drive);
     let focus = FocusLoop::spawn(Box::new(sensor), drive, None, ServoSettings::default(), Box::new(now))
         .map_err(|error| AppError::Device(format!("focus lock: {error}")))?;

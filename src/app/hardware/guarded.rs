@@ -44,6 +44,42 @@ struct Held {
     client: GuardClient,
     child: Child,
     is_armed: bool,
+    /// The instrument file, for a second guard if the first one dies.
+    instrument: String,
+}
+
+impl Held {
+    /// When the guard itself has died, gates with a watchdog have closed by now; another guard makes the rest dark.
+    fn darken_after_death(&mut self) {
+        if !matches!(self.child.try_wait(), Ok(Some(_))) {
+            return;
+        }
+        match started(&self.instrument) {
+            Ok((client, child, _)) => {
+                (self.client, self.child) = (client, child);
+                tracing::error!("the laser guard had died; another one has made all lasers dark");
+            }
+            Err(error) => {
+                tracing::error!(
+                    "the laser guard has died, and lasers could not be made dark again: {error}; use their KEYS"
+                );
+            }
+        }
+    }
+}
+
+/// A guard with all lasers dark: that is how each of them is opened.
+fn started(instrument: &str) -> Result<(GuardClient, Child, LightsState), AppError> {
+    let failed = |error: std::io::Error| {
+        AppError::Device(format!("the laser guard could not be started: {error}; no laser was touched"))
+    };
+    let program = std::env::current_exe().map_err(failed)?;
+    let mut command = Command::new(program);
+    command.arg("laser-guard");
+    let (child, socket) = start_process(command).map_err(failed)?;
+    let (client, state) =
+        GuardClient::set_up(socket, instrument).map_err(|error| AppError::Device(error.to_string()))?;
+    Ok((client, child, state))
 }
 
 impl Drop for Held {
@@ -61,16 +97,9 @@ impl Guarded {
     /// # Errors
     /// What could not be started or opened; everything is dark then.
     pub(super) fn start(instrument: &str) -> Result<(Self, LightsState), AppError> {
-        let failed = |error: std::io::Error| {
-            AppError::Device(format!("the laser guard could not be started: {error}; no laser was touched"))
-        };
-        let program = std::env::current_exe().map_err(failed)?;
-        let mut command = Command::new(program);
-        command.arg("laser-guard");
-        let (child, socket) = start_process(command).map_err(failed)?;
-        let (client, state) =
-            GuardClient::set_up(socket, instrument).map_err(|error| AppError::Device(error.to_string()))?;
-        Ok((Self(Arc::new(Mutex::new(Held { client, child, is_armed: false }))), state))
+        let (client, child, state) = started(instrument)?;
+        let held = Held { client, child, is_armed: false, instrument: instrument.to_owned() };
+        Ok((Self(Arc::new(Mutex::new(held))), state))
     }
 
     /// The process of the guard, for those who watch it.
@@ -113,6 +142,7 @@ impl Illumination for Guarded {
             None => Ok(()),
             Some(trip) => {
                 held.is_armed = false;
+                held.darken_after_death();
                 Err(DeviceError::new(ErrorKind::Fault, "lasers off", trip.to_string()))
             }
         }

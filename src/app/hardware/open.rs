@@ -7,6 +7,7 @@ use sofiscope_serial_line::Line;
 use std::time::Duration;
 
 use super::super::AppError;
+use super::super::session::stop_with_interrupts;
 use super::super::simulated::Rig;
 use super::cameras;
 use super::drive::AwaitedStage;
@@ -65,9 +66,8 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
     let trigger: Option<Box<dyn TriggerSource>> = match (instrument.trigger(), &hardware.clock, &guard) {
         (TriggerKind::Gates, _, Some(guard)) => Some(Box::new(guard.clone())),
         (TriggerKind::TeensyPulse, Some(port), _) => {
-            let line =
-                Line::open(&port.path, TeensyPulse::line_settings(), "camera clock").map_err(device)?;
-            Some(Box::new(TeensyPulse::connect(line, PULSE_WIDTH).map_err(device)?))
+            let line = Line::open(&port.path, TeensyPulse::line_settings(), "camera clock")?;
+            Some(Box::new(TeensyPulse::connect(line, PULSE_WIDTH)?))
         }
         _ => None,
     };
@@ -76,6 +76,7 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
         Some(entry) => {
             let stage = stage(entry)?;
             identities.push(stage.identity().to_string());
+            stop_with_interrupts(stage.stopper());
             Some(Box::new(AwaitedStage(Box::new(stage))) as Box<dyn StageDrive>)
         }
     };
@@ -114,7 +115,8 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
 pub(in crate::app) fn home(instrument: &Instrument) -> Result<(), AppError> {
     let entry = instrument.hardware().stage.as_ref();
     let entry = entry.ok_or_else(|| AppError::Usage("the instrument file has no `[stage]`".to_owned()))?;
-    AwaitedStage(Box::new(stage(entry)?)).home().map_err(device)
+    AwaitedStage(Box::new(stage(entry)?)).home()?;
+    Ok(())
 }
 
 /// Opens lasers and gates, all dark, and gives what tells in one line what they do.
@@ -130,7 +132,7 @@ pub(in crate::app) fn watch_lights(
     }
     let (guard, _) = Guarded::start(text)?;
     Ok(move || {
-        let state = guard.state().map_err(device)?;
+        let state = guard.state()?;
         let gates = state.gates.map_or("gates UNKNOWN, take them as open".to_owned(), |gates| {
             format!(
                 "gates {:08b}{}",
@@ -152,7 +154,7 @@ pub(in crate::app) fn watch_lights(
 }
 
 fn stage(entry: &StageEntry) -> Result<Tango, AppError> {
-    let line = Line::open(&entry.port.path, LINE_SETTINGS, "stage").map_err(device)?;
+    let line = Line::open(&entry.port.path, LINE_SETTINGS, "stage")?;
     let serial = entry.port.serial.clone().ok_or_else(|| {
         AppError::Usage(
             "the stage has no `serial` in the instrument file; write what `devices list` shows".to_owned(),
@@ -164,7 +166,7 @@ fn stage(entry: &StageEntry) -> Result<Tango, AppError> {
         fastest: MillimetersPerSecond::new(FASTEST_STAGE).unwrap_or_default(),
         tolerance: Micrometers::new(STAGE_TOLERANCE).unwrap_or_default(),
     };
-    Tango::open(line, settings).map_err(device)
+    Ok(Tango::open(line, settings)?)
 }
 
 fn rig(
@@ -193,8 +195,4 @@ fn rig(
         shortest_periods: capabilities.each_ref().map(|camera| camera.shortest_period),
         saturation_counts: capabilities.each_ref().map(|camera| camera.saturation_counts),
     }
-}
-
-fn device(error: sofiscope_hal::DeviceError) -> AppError {
-    AppError::Device(error.to_string())
 }

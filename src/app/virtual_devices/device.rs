@@ -96,7 +96,7 @@ impl Device<'_> {
             name => {
                 let laser =
                     hardware.lasers.iter().find(|laser| format!("laser-{}", laser.wavelength_nm) == name);
-                self.laser(laser.ok_or_else(|| self.unknown())?, table)
+                self.laser(laser.ok_or_else(|| self.unknown())?, &table)
             }
         }
     }
@@ -116,7 +116,7 @@ impl Device<'_> {
         }
     }
 
-    fn laser(&self, laser: &LaserEntry, table: OpticalTable) -> Result<(), AppError> {
+    fn laser(&self, laser: &LaserEntry, table: &OpticalTable) -> Result<(), AppError> {
         let place = |began| -> Result<Place, AppError> {
             Ok(Place {
                 table: table.clone(),

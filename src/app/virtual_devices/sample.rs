@@ -92,13 +92,14 @@ impl View {
 /// Mean of each pixel with its neighbors above, below, left and right; edges stay as they are.
 fn blur(from: &[u16], to: &mut [u16], width: usize) {
     to.copy_from_slice(from);
-    let last = from.len().saturating_sub(width);
-    for at in width..last {
-        if at % width == 0 || at % width == width - 1 {
-            continue;
+    let rows = from.len() / width.max(1);
+    for row in 1..rows.saturating_sub(1) {
+        let begin = row * width;
+        for (column, mean) in to[begin..begin + width].iter_mut().enumerate().take(width - 1).skip(1) {
+            let at = begin + column;
+            let sum: u32 =
+                [at, at - 1, at + 1, at - width, at + width].iter().map(|&at| u32::from(from[at])).sum();
+            *mean = u16::try_from(sum / 5).unwrap_or(u16::MAX);
         }
-        let sum =
-            [at, at - 1, at + 1, at - width, at + width].iter().map(|&at| u32::from(from[at])).sum::<u32>();
-        to[at] = u16::try_from(sum / 5).unwrap_or(u16::MAX);
     }
 }

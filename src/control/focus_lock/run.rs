@@ -32,7 +32,7 @@ const SETTLE: Duration = Duration::from_millis(120);
 pub type Now = Box<dyn Fn() -> HostTime + Send>;
 
 /// What can be asked of the focus loop.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum FocusCommand {
     /// Find the signal and hold it.
     Lock,
