@@ -30,8 +30,6 @@ use crate::config::{GatesKind, Instrument, LaserEntry, LaserLink, VirtualEntry};
 
 /// Most power of the virtual laser heads, milliwatts.
 const HEAD_MW: f64 = 200.0;
-/// Frames of the sample before it begins again.
-const FRAMES: u64 = 20_000;
 /// Serial number of the virtual gatekeeper.
 const GATEKEEPER_SERIAL: u32 = 1;
 
@@ -167,7 +165,7 @@ impl Device<'_> {
             None => read_text(Path::new(&self.entry.scene), super::MOST_BYTES)?,
         };
         let scene = Scene::from_toml(&text)
-            .and_then(|scene| scene.with_frames(FRAMES))
+            .and_then(|scene| scene.with_frames(self.entry.frames))
             .map_err(|error| AppError::Usage(format!("{}: {error}", self.entry.scene)))?;
         let seed = self.entry.seed.unwrap_or_else(|| scene.seed());
         let size = |pixels: usize| u32::try_from(pixels).unwrap_or(u32::MAX);

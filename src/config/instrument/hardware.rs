@@ -8,6 +8,9 @@ use sofiscope_hal::{Micrometers, Milliwatts, Nanometers, StageEnvelope, Toward, 
 use super::Limits;
 use crate::config::judge::Judge;
 
+/// Frames of a virtual sample where the file names no number.
+const VIRTUAL_FRAMES: u64 = 20_000;
+
 /// A device at a serial port.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PortEntry {
@@ -105,6 +108,8 @@ pub struct VirtualEntry {
     pub scene: String,
     /// Seed in place of the scene's own.
     pub seed: Option<u64>,
+    /// Frames of the sample before it begins again.
+    pub frames: u64,
     /// Drift of the sample along the optical axis, nanometers per second.
     pub drift_nm_per_s: f64,
 }
@@ -180,6 +185,7 @@ pub(crate) struct RawVirtual {
     pub(crate) directory: Option<String>,
     pub(crate) scene: Option<String>,
     pub(crate) seed: Option<u64>,
+    pub(crate) frames: Option<u64>,
     pub(crate) drift_nm_per_s: Option<f64>,
 }
 
@@ -364,6 +370,7 @@ impl HardwareCheck<'_> {
             directory: PathBuf::from(directory?),
             scene: scene?,
             seed: raw.seed,
+            frames: raw.frames.unwrap_or(VIRTUAL_FRAMES),
             drift_nm_per_s: self.judge.within("virtual.drift_nm_per_s", drift, -1000.0, 1000.0),
         })
     }
