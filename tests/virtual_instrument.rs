@@ -28,7 +28,10 @@ impl Microscope {
         let text = shipped
             .replace("/tmp/sofiscope-virtual", &folder.path().join("devices").display().to_string())
             .replace("127.0.0.", &format!("127.0.{network}."))
-            .replace("drift_nm_per_s = 5.0", &format!("drift_nm_per_s = {drift_nm_per_s:?}\nframes = {EXPOSURES}"));
+            .replace(
+                "drift_nm_per_s = 5.0",
+                &format!("drift_nm_per_s = {drift_nm_per_s:?}\nframes = {EXPOSURES}"),
+            );
         fs::write(folder.path().join("virtual.toml"), text).unwrap();
         let mut devices = Command::new(PROGRAM)
             .args(["devices", "virtual", "up"])
@@ -152,7 +155,10 @@ fn a_run_with_every_driver_records_what_the_simulated_sample_shows() {
     assert!(gates.iter().any(|note| note.value == f64::from(0b1110)), "488, 561 and 635 nm together");
     assert!(gates.iter().all(|note| [0.0, f64::from(0b1110)].contains(&note.value)), "no other pattern");
     for pair in gates.windows(2).filter(|pair| pair[0].value != 0.0) {
-        assert!(pair[1].at - pair[0].at < std::time::Duration::from_millis(71), "open for longer than it may be");
+        assert!(
+            pair[1].at - pair[0].at < std::time::Duration::from_millis(71),
+            "open for longer than it may be"
+        );
     }
     for device in ["gates", "laser-488", "laser-561", "laser-635"] {
         let notes = microscope.log(device);

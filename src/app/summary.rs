@@ -172,6 +172,13 @@ fn resolution(analysis: &Analysis, measured: Option<Resolution>) -> Option<Resol
             method: format!("Fourier ring correlation, 1/7, of the flattened image{limit}"),
             nanometers,
         });
+        if let Some(camera_px) = found.decorrelation_camera_px {
+            all.values.push(ResolutionValue {
+                image: name.clone(),
+                method: "decorrelation analysis of the flattened image".to_owned(),
+                nanometers: camera_px * analysis.prepared.pixel_pitch_nm,
+            });
+        }
         let fine_um = analysis.prepared.pixel_pitch_nm / 1e3 / analysis.prepared.grid.order() as f64;
         all.curves.push(ResolutionCurve {
             image: name.clone(),

@@ -21,7 +21,7 @@ use crate::sofi::cumulant::{CumulantEngine, CumulantSettings, Drawing, Exposure,
 use crate::sofi::flattening::{Flattening, PsfWidth, flatten};
 use crate::sofi::quality::{
     BinnedTrace, FourierRingCorrelation, LagCorrelator, Offset, RunningImage, balance_sub_grids,
-    fit_bleaching, fourier_ring_correlation,
+    decorrelation, fit_bleaching, fourier_ring_correlation,
 };
 use blocks::{block_means, central};
 use ndarray::Array2;
@@ -275,7 +275,9 @@ impl QualityMonitor {
         let fine = curve.as_ref().and_then(|curve| curve.resolution_px);
         let camera_px = fine.or(is_pixel_limited.then_some(2.0)).map(|fine| fine / order as f64);
         let nm = camera_px.zip(self.settings.pixel_pitch_nm).map(|(pixels, pitch)| pixels * pitch);
-        Resolution { camera_px, nm, is_pixel_limited, curve }
+        let whole = decorrelation(&scaled(image.mean(), &scales));
+        let decorrelation_camera_px = whole.map(|found| found.resolution_px / order as f64);
+        Resolution { camera_px, nm, is_pixel_limited, decorrelation_camera_px, curve }
     }
 
     fn bleaching(&self, channel: usize) -> Option<BleachingState> {

@@ -40,6 +40,8 @@ pub struct Resolution {
     pub nm: Option<f64>,
     /// Whether both halves agree down to two fine pixels, so that the resolution is at least as good as it says.
     pub is_pixel_limited: bool,
+    /// The finest structure that the image itself holds, by decorrelation analysis, camera pixels.
+    pub decorrelation_camera_px: Option<f64>,
     /// The correlation, on the fine grid; left out of reports for its length.
     #[serde(skip)]
     pub curve: Option<FourierRingCorrelation>,

@@ -10,16 +10,17 @@
 //! Noise that repeats from half to half, as that of a pixel with a gain of its own, counts as structure.
 
 use ndarray::{Array2, ArrayRef2, s};
-use rustfft::{FftPlanner, num_complex::Complex32};
+use rustfft::num_complex::Complex32;
+
+use super::spectrum::{
+    hann, quick_part, signed_frequency, transform_both, usable_part, valid_rectangle, windowed,
+};
 
 /// Correlation at which the resolution is read.
 pub const THRESHOLD: f64 = 1.0 / 7.0;
 
 /// Images with shorter sides tell nothing.
 const SHORTEST_SIDE: usize = 16;
-
-/// A line at the border with a larger share of missing pixels is cut off.
-const MOST_MISSING: f64 = 0.1;
 
 /// Rings to either side that are averaged into the smoothed curve, as a share of all.
 const SMOOTHING: f64 = 0.02;
@@ -76,8 +77,7 @@ pub fn fourier_ring_correlation(
     if first.dim() != second.dim() {
         return None;
     }
-    let (rows, columns) = valid_rectangle(first);
-    let (rows, columns) = (quick_part(rows), quick_part(columns));
+    let (rows, columns) = usable_part(first);
     if rows.len().min(columns.len()) < SHORTEST_SIDE {
         return None;
     }
@@ -159,71 +159,6 @@ fn both_halves(spectrum: &Array2<Complex32>, y: usize, x: usize) -> (Complex32, 
     ((here + mirrored) * 0.5, (here - mirrored) * Complex32::new(0.0, -0.5))
 }
 
-/// Rows and columns that are left when lines with many missing pixels are cut off the border.
-fn valid_rectangle(image: &ArrayRef2<f32>) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
-    let (mut rows, mut columns) = (0..image.nrows(), 0..image.ncols());
-    while !rows.is_empty() && !columns.is_empty() {
-        let row = |y: usize| missing(image.slice(s![y, columns.clone()]).iter());
-        let column = |x: usize| missing(image.slice(s![rows.clone(), x]).iter());
-        let borders = [row(rows.start), row(rows.end - 1), column(columns.start), column(columns.end - 1)];
-        let worst = (0..4).max_by(|&a, &b| borders[a].total_cmp(&borders[b])).unwrap_or(0);
-        if borders[worst] <= MOST_MISSING {
-            break;
-        }
-        match worst {
-            0 => rows.start += 1,
-            1 => rows.end -= 1,
-            2 => columns.start += 1,
-            _ => columns.end -= 1,
-        }
-    }
-    (rows, columns)
-}
-
-fn missing<'a>(pixels: impl ExactSizeIterator<Item = &'a f32>) -> f64 {
-    let count = pixels.len() as f64;
-    pixels.filter(|value| !value.is_finite()).count() as f64 / count
-}
-
-/// The largest central part whose length has no prime factor above 7.
-fn quick_part(range: std::ops::Range<usize>) -> std::ops::Range<usize> {
-    let is_quick = |length: usize| {
-        let rest = [2, 3, 5, 7].into_iter().fold(length, |mut rest, prime| {
-            while rest > 0 && rest.is_multiple_of(prime) {
-                rest /= prime;
-            }
-            rest
-        });
-        rest == 1
-    };
-    let length = (1..=range.len()).rev().find(|&length| is_quick(length)).unwrap_or(0);
-    let start = range.start + (range.len() - length) / 2;
-    start..start + length
-}
-
-/// The image about its mean, in units of its standard deviation, falling to zero at the edges.
-fn windowed(image: &ArrayRef2<f32>) -> Option<Array2<f32>> {
-    let finite = || image.iter().filter(|value| value.is_finite()).map(|&value| f64::from(value));
-    let count = finite().count() as f64;
-    let mean = finite().sum::<f64>() / count;
-    let deviation = (finite().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt();
-    if !(deviation.is_finite() && deviation > 0.0) {
-        return None;
-    }
-    let (vertical, horizontal) = (hann(image.nrows()), hann(image.ncols()));
-    Some(Array2::from_shape_fn(image.dim(), |(y, x)| {
-        let value = f64::from(image[[y, x]]);
-        let value = if value.is_finite() { (value - mean) / deviation } else { 0.0 };
-        (value * vertical[y] * horizontal[x]) as f32
-    }))
-}
-
-/// The window of Hann, `sin^2`: images have steep spectra, and what flatter windows leak over from coarse structure
-/// is the same in both halves and would pass for agreement on fine structure.
-fn hann(length: usize) -> Vec<f64> {
-    (0..length).map(|i| (std::f64::consts::PI * (i as f64 + 0.5) / length as f64).sin().powi(2)).collect()
-}
-
 fn correlate_rings(first: &Array2<f32>, second: &Array2<f32>) -> FourierRingCorrelation {
     let (height, width) = first.dim();
     let spectrum = transform_both(first, second);
@@ -260,24 +195,6 @@ fn correlate_rings(first: &Array2<f32>, second: &Array2<f32>) -> FourierRingCorr
     let agrees = |ring: &f64| more_than_chance(&curve, &counts, *ring);
     let resolution_px = crossing(&smoothed).filter(agrees).map(|ring| 1.0 / (ring * frequency_step));
     FourierRingCorrelation { curve, smoothed, frequency_step, resolution_px }
-}
-
-fn signed_frequency(index: usize, length: usize) -> f64 {
-    let index = if index > length / 2 { index as f64 - length as f64 } else { index as f64 };
-    index / length as f64
-}
-
-/// Transforms `first + i second`.
-fn transform_both(first: &Array2<f32>, second: &Array2<f32>) -> Array2<Complex32> {
-    let (height, width) = first.dim();
-    let mut rows: Vec<Complex32> =
-        first.iter().zip(second).map(|(&first, &second)| Complex32::new(first, second)).collect();
-    let mut planner = FftPlanner::new();
-    planner.plan_fft_forward(width).process(&mut rows);
-    let rows = Array2::from_shape_fn((width, height), |(x, y)| rows[y * width + x]);
-    let mut columns = rows.into_raw_vec_and_offset().0;
-    planner.plan_fft_forward(height).process(&mut columns);
-    Array2::from_shape_fn((height, width), |(y, x)| columns[x * height + y])
 }
 
 /// Averages over neighboring rings; the mean image, ring 0, stays out.
