@@ -106,6 +106,7 @@ const ROOMS: [Room; 13] = [
             "sofiscope_hal",
             "sofiscope_laserquantum_smd12",
             "sofiscope_madlib",
+            "sofiscope_madlib_stand_in",
             "sofiscope_maerzhaeuser_tango",
             "sofiscope_micromanager_arduino",
             "sofiscope_micromanager_teensy_pulse",

@@ -38,6 +38,7 @@ mod tests {
         for (path, text) in plans() {
             for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.starts_with('#')) {
                 let Some((key, _)) = line.split_once(':') else { continue };
+                let key = key.trim_start_matches([' ', '-']);
                 // Other programs keep metadata of their own beside ours.
                 if key.trim() == "sofiscope" {
                     continue;

@@ -65,12 +65,11 @@ impl Microscope {
         let shipped = fs::read_to_string("config/plans/three-color.yaml").unwrap();
         let text = shipped
             .replace("loops: 400", &format!("loops: {EXPOSURES}"))
-            .replace("recording: ome-tiff", &format!("recording: ome-tiff\n    focus_lock: {focus}"))
-            .lines()
-            .filter(|line| !line.contains("cell 2"))
-            .collect::<Vec<_>>()
-            .join("\n");
-        fs::write(self.path("plan.yaml"), text).unwrap();
+            .replace("recording: ome-tiff", &format!("recording: ome-tiff\n    focus_lock: {focus}"));
+        // One place is enough here.
+        let (before, rest) = text.split_once("  - name: cell 2").unwrap();
+        let after = rest.split_once("time_plan:").unwrap().1;
+        fs::write(self.path("plan.yaml"), format!("{before}time_plan:{after}")).unwrap();
         "plan.yaml".to_owned()
     }
 }

@@ -60,7 +60,7 @@ fn fields_that_are_not_supported_are_refused_by_name_all_at_once() {
         &text,
         &[
             "`z_plan` is not supported yet: the focus",
-            "`autofocus_plan` is not supported yet: the focus lock",
+            "`autofocus_plan` is not supported yet: write `focus_lock: hold`",
             "`grid_plan` is not supported yet",
             "`channels[1]` is not supported yet: all dyes",
             "`stage_positions[1].sequence` is not supported yet",
