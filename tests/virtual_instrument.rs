@@ -170,7 +170,7 @@ fn a_run_with_every_driver_records_what_the_simulated_sample_shows() {
 #[test]
 fn a_stage_that_does_not_know_its_place_is_not_moved() {
     let microscope = Microscope::up(12, 0.0);
-    let plan = microscope.plan("off");
+    let plan = microscope.plan("none");
     let (_, log, is_fine) =
         microscope.command(&["run", &plan, "--instrument", "INSTRUMENT", "--out", "run", "--json"]);
     assert!(!is_fine && log.contains("home it first"), "{log}");

@@ -132,7 +132,7 @@ pub enum FocusWish {
 }
 
 impl FocusWish {
-    const NAMES: [(&'static str, Self); 2] = [("off", Self::Off), ("hold", Self::Hold)];
+    const NAMES: [(&'static str, Self); 2] = [("none", Self::Off), ("hold", Self::Hold)];
 }
 
 const TRIGGERS: [(&str, TriggerMode); 2] =

@@ -183,7 +183,7 @@ pub struct RawRun {
     pub on_record_drop: Option<String>,
     /// `ome-tiff`, `ome-zarr` or `none`.
     pub recording: Option<String>,
-    /// `off` or `hold`.
+    /// `none` or `hold`.
     pub focus_lock: Option<String>,
 }
 

@@ -76,7 +76,7 @@ impl Devices {
         }
         if event.duties.focus == FocusWish::Hold {
             let focus = self.focus.as_mut().ok_or_else(|| {
-                device("the plan wants the focus lock to hold, and the instrument has none; write focus_lock: off")
+                device("the plan wants the focus lock to hold, and the instrument has none; write focus_lock: none")
             })?;
             focus.lock().map_err(DataPathError::from)?;
         }
