@@ -89,6 +89,6 @@ pub(super) fn series(period: Duration, exposures: u64, recording: RecordingForma
         exposures: Some(exposures),
         stop: StopRule::default(),
         laser_power_mw: BTreeMap::new(),
-        duties: Duties { recording, on_record_drop: OnRecordDrop::Stop, focus: FocusWish::Off },
+        duties: Duties { recording, on_record_drop: OnRecordDrop::Stop, focus: FocusWish::Off, focus_gate: None },
     }
 }

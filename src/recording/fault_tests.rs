@@ -89,7 +89,7 @@ pub(super) fn exposure(index: u64) -> ExposureRecord {
             device_time: DeviceTime(index),
             status: FrameStatus::Complete,
         };
-        let facts = FrameFacts { channel, info, received: HostTime(index) };
+        let facts = FrameFacts { channel, info, received: HostTime(index), conditions: Default::default() };
         Side::Frame(Frame::of_counts(facts, &pixels(channel, index)))
     });
     ExposureRecord {

@@ -7,7 +7,7 @@
 use super::RecordingError;
 use super::ledger_file::LEDGER;
 use super::reader::{ImagePages, LedgerRows};
-use crate::acquisition::{Analysis, LedgerRow, Loss, PairState, RowState};
+use crate::acquisition::{Analysis, Conditions, LedgerRow, Loss, PairState, RowState};
 use sofiscope_hal::{Channel, ExposureIndex};
 use std::path::Path;
 
@@ -33,6 +33,8 @@ pub(super) struct Merge<'a> {
     next_page: [u64; 2],
     next_frame: [Option<LedgerRow>; 2],
     ledger_bytes: u64,
+    /// Those of the last old row of a frame that came: place and light stay the same in a recording.
+    conditions: Conditions,
     changes: Changes,
 }
 
@@ -46,6 +48,7 @@ impl<'a> Merge<'a> {
             next_page: [0; 2],
             next_frame: [None, None],
             ledger_bytes,
+            conditions: Conditions::default(),
             changes: Changes::default(),
         };
         if merge.old.is_none() {
@@ -94,13 +97,19 @@ impl<'a> Merge<'a> {
             |row: &Option<LedgerRow>| row.filter(|row| (row.exposure, row.channel) == (exposure, channel));
         let (old, frame) = (is_here(&self.next_old), is_here(&self.next_frame[channel.index()]));
         if let Some(row) = old {
+            if row.id.is_some() {
+                self.conditions = row.conditions;
+            }
             self.take_old(Some(row));
         }
         if frame.is_some() {
             self.take_frame(channel)?;
         }
         let row = match (frame, old) {
-            (Some(frame), _) => frame,
+            (Some(frame), _) => {
+                let conditions = Conditions { focus_nm: frame.conditions.focus_nm, ..self.conditions };
+                LedgerRow { conditions, ..frame }
+            }
             (None, Some(old)) if !matches!(old.state, RowState::Recorded { .. }) => old,
             (None, Some(old)) => LedgerRow { state: RowState::Lost(Loss::CrashTail), ..old },
             (None, None) => missing(exposure, channel),
@@ -162,5 +171,6 @@ fn missing(exposure: ExposureIndex, channel: Channel) -> LedgerRow {
         host_time: None,
         pair: PairState::Not(Loss::Unpaired),
         analysis: Analysis::None,
+        conditions: Conditions::default(),
     }
 }

@@ -217,7 +217,7 @@ fn files(reflected: Opened, transmitted: Opened, options: &ReplayOptions) -> Res
         is_period_assumed: period.is_none(),
         pixel_size_nm: reflected.pixel_size_nm.or(transmitted.pixel_size_nm),
         simulated: opened.iter().any(|opened| opened.simulated),
-        left_out: BTreeSet::new(),
+        left_out: BTreeMap::new(),
         provenance: Vec::new(),
         description: if reflected.path == transmitted.path {
             format!("replay of {} ({kinds})", reflected.path.display())
