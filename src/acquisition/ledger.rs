@@ -335,7 +335,10 @@ mod tests {
     fn a_torn_or_damaged_line_names_its_field() {
         let mut line = String::new();
         rows()[0].write_to(&mut line);
-        assert_eq!(line, "17,T,recorded,,16,00abcdef,65417,1,340000000,341000000,paired,analyzed,-12.25,1500,-0.1,488=10;561=20\n");
+        assert_eq!(
+            line,
+            "17,T,recorded,,16,00abcdef,65417,1,340000000,341000000,paired,analyzed,-12.25,1500,-0.1,488=10;561=20\n"
+        );
         let fields = LedgerError::Fields { expected: 16, found: 3 };
         assert_eq!(LedgerRow::parse("17,T,rec"), Err(fields));
         for (field, wrong) in [("-12.25", "NaN"), ("1500", "inf"), ("-0.1", "-0.1.2"), ("561=20", "561")] {

@@ -3,6 +3,7 @@
 //! In: where the focus error of the moment comes from; place and light of a series. Out: [`Conditions`] of each frame.
 //! Never: locks, waits, allocates, guesses. Fails: not at all; what is not known is `None`.
 
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// The focus error is told in steps of this many to the nanometer, so that every copy of it is the same number.
@@ -34,7 +35,8 @@ impl std::fmt::Debug for FocusGauge {
 }
 
 /// Laser lines that are lit, with their powers; as text `488=10;561=2.5`, in nanometers and milliwatts.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub struct Light {
     /// Wavelengths in increasing order; those behind the last lit line are 0.
     lines: [(u16, f32); Self::MOST_LINES],
@@ -83,6 +85,20 @@ impl Light {
     }
 }
 
+impl TryFrom<String> for Light {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        Self::parse(&text).ok_or_else(|| format!("{text:?} is no light such as 488=10;561=2.5"))
+    }
+}
+
+impl From<Light> for String {
+    fn from(light: Light) -> Self {
+        light.to_string()
+    }
+}
+
 impl std::fmt::Display for Light {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         for (place, (line, power)) in self.lines.iter().take_while(|(line, _)| *line > 0).enumerate() {
@@ -94,9 +110,11 @@ impl std::fmt::Display for Light {
 }
 
 /// What surrounded a frame when it was received.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Conditions {
     /// Focus error, nanometers; `None` when no lock held.
+    #[serde(skip)]
     pub focus_nm: Option<f64>,
     /// Place on the stage, micrometers; `None` for wherever it stood.
     pub x_um: Option<f64>,
@@ -118,6 +136,12 @@ impl Surroundings {
     #[must_use]
     pub fn of_series(focus: FocusGauge, series: Conditions) -> Self {
         Self { focus, series }
+    }
+
+    /// Place and light, which stay as they are.
+    #[must_use]
+    pub fn series(&self) -> Conditions {
+        self.series
     }
 
     /// The conditions of a frame that was just received.

@@ -58,6 +58,7 @@ fn plan_of(run: &RecordedRun, format: Format, directory: &Path) -> Result<Record
         cameras: metadata.cameras.clone(),
         planned_exposures: metadata.planned_exposures,
         simulated: metadata.simulated,
+        conditions: metadata.conditions,
         provenance: metadata.provenance.iter().map(text).collect::<Result<_, RecordingError>>()?,
     })
 }

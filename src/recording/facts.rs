@@ -18,9 +18,7 @@
 //!
 //! Recordings of before have the first 44 bytes only.
 
-use crate::acquisition::{
-    Analysis, Conditions, FOCUS_STEPS_PER_NM, LedgerRow, Loss, PairState, RowState,
-};
+use crate::acquisition::{Analysis, Conditions, FOCUS_STEPS_PER_NM, LedgerRow, Loss, PairState, RowState};
 use sofiscope_hal::{BlockId, Channel, DeviceTime, Epoch, ExposureIndex, HostTime};
 
 /// Bytes of the facts of one frame.
@@ -101,7 +99,9 @@ fn check(bytes: &FactsBytes) -> u16 {
 /// A focus error of more than 80 µm is none.
 fn focus_bytes(error_nm: Option<f64>) -> [u8; 3] {
     let steps = error_nm.map(|error_nm| (error_nm * FOCUS_STEPS_PER_NM).round());
-    let steps = steps.filter(|steps| steps.abs() < f64::from(FOCUS_ZERO)).map_or(0, |steps| steps as i32 + FOCUS_ZERO);
+    let steps = steps
+        .filter(|steps| steps.abs() < f64::from(FOCUS_ZERO))
+        .map_or(0, |steps| steps as i32 + FOCUS_ZERO);
     let [low, middle, high, _] = steps.to_le_bytes();
     [low, middle, high]
 }

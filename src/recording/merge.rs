@@ -33,13 +33,17 @@ pub(super) struct Merge<'a> {
     next_page: [u64; 2],
     next_frame: [Option<LedgerRow>; 2],
     ledger_bytes: u64,
-    /// Those of the last old row of a frame that came: place and light stay the same in a recording.
+    /// Place and light of the recording, which frames do not carry.
     conditions: Conditions,
     changes: Changes,
 }
 
 impl<'a> Merge<'a> {
-    pub(super) fn of(directory: &Path, images: &'a mut [ImagePages; 2]) -> Result<Self, RecordingError> {
+    pub(super) fn of(
+        directory: &Path,
+        images: &'a mut [ImagePages; 2],
+        conditions: Conditions,
+    ) -> Result<Self, RecordingError> {
         let ledger_bytes = std::fs::metadata(directory.join(LEDGER)).map_or(0, |metadata| metadata.len());
         let mut merge = Self {
             old: LedgerRows::open(directory).ok(),
@@ -48,7 +52,7 @@ impl<'a> Merge<'a> {
             next_page: [0; 2],
             next_frame: [None, None],
             ledger_bytes,
-            conditions: Conditions::default(),
+            conditions,
             changes: Changes::default(),
         };
         if merge.old.is_none() {
@@ -97,9 +101,6 @@ impl<'a> Merge<'a> {
             |row: &Option<LedgerRow>| row.filter(|row| (row.exposure, row.channel) == (exposure, channel));
         let (old, frame) = (is_here(&self.next_old), is_here(&self.next_frame[channel.index()]));
         if let Some(row) = old {
-            if row.id.is_some() {
-                self.conditions = row.conditions;
-            }
             self.take_old(Some(row));
         }
         if frame.is_some() {

@@ -25,8 +25,9 @@ mod stream;
 mod timeline;
 mod zarr;
 
+use crate::acquisition::Loss;
 use sofiscope_hal::{Clock, MonotonicClock};
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 

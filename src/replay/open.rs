@@ -14,7 +14,7 @@ use super::{
 };
 use crate::files::FileError;
 use sofiscope_hal::{CameraIdentity, CameraSettings, Channel, Region, TriggerMode};
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};

@@ -1,10 +1,13 @@
 //! Recordings come again as they were: frames, numbers, times, gaps.
 
-use crate::common::{FORMATS, LEN, armed, info, is_left_out, is_recorded, pixels, read, recording, replay};
+use crate::common::{
+    FORMATS, LEN, armed, info, is_left_out, is_recorded, pixels, read, reason, recording, replay,
+};
+use sofiscope::acquisition::Loss;
 use sofiscope::recording::Format;
 use sofiscope::replay::{Repeat, ReplayError, ReplayOptions, open};
 use sofiscope_hal::{Camera, Channel, ErrorKind, FrameStatus, TriggerMode};
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::fs;
 use std::time::Duration;
 
@@ -21,7 +24,10 @@ fn exactly_the_recorded_frames_come_with_all_their_facts() {
         assert_eq!((info_of.height, info_of.width, info_of.exposures), (16, 16, EXPOSURES));
         assert_eq!((info_of.period, info_of.is_period_assumed), (Duration::from_millis(5), false));
         assert_eq!((info_of.pixel_size_nm, info_of.simulated), (Some(108.0), false));
-        let left_out: BTreeSet<u64> = (0..EXPOSURES).filter(|exposure| is_left_out(*exposure)).collect();
+        let left_out: BTreeMap<u64, Loss> = (0..EXPOSURES)
+            .filter(|exposure| is_left_out(*exposure))
+            .map(|exposure| (exposure, reason(exposure)))
+            .collect();
         assert!(!left_out.is_empty());
         assert_eq!(info_of.left_out, left_out);
         assert_eq!(info_of.provenance, [("plan.yaml".to_owned(), "# as used\n".to_owned())]);
@@ -63,7 +69,11 @@ fn a_replay_may_begin_anywhere() {
             assert!(right);
         }
         let left_out = replay.info.left_out_from(start);
-        assert!(left_out.iter().all(|exposure| is_left_out(exposure + start)));
+        assert!(
+            left_out
+                .iter()
+                .all(|(exposure, why)| { is_left_out(exposure + start) && *why == reason(exposure + start) })
+        );
         assert!(matches!(replay.control.seek(3), Err(ReplayError::Refused { .. })), "a camera is armed");
         for camera in &mut replay.cameras {
             camera.stop().unwrap();
