@@ -4,11 +4,12 @@ use crate::common::{
     FORMATS, LEN, armed, info, is_left_out, is_recorded, pixels, read, reason, recording, replay,
 };
 use sofiscope::acquisition::Loss;
-use sofiscope::recording::Format;
+use sofiscope::recording::{Format, Outcome, recover};
 use sofiscope::replay::{Repeat, ReplayError, ReplayOptions, open};
 use sofiscope_hal::{Camera, Channel, ErrorKind, FrameStatus, TriggerMode};
 use std::collections::BTreeMap;
 use std::fs;
+use std::path::Path;
 use std::time::Duration;
 
 const EXPOSURES: u64 = 200;
@@ -184,4 +185,58 @@ fn a_stream_of_before_stays_at_its_end() {
     let mut now = armed(camera);
     assert_eq!(before.next_frame(&mut counts, Duration::ZERO).unwrap_err().kind(), ErrorKind::Ended);
     assert_eq!(now.next_frame(&mut counts, Duration::ZERO).unwrap().exposure.0, 0);
+}
+
+/// Makes a recording what it was before conditions were recorded.
+fn make_old(path: &Path) {
+    let ledger = fs::read_to_string(path.join("ledger.csv")).unwrap();
+    let first = |line: &str| line.split(',').take(12).collect::<Vec<_>>().join(",") + "\n";
+    fs::write(path.join("ledger.csv"), ledger.lines().map(first).collect::<String>()).unwrap();
+    let text = fs::read_to_string(path.join("recording.json")).unwrap();
+    let mut metadata: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert!(metadata.as_object_mut().unwrap().remove("conditions").is_some());
+    fs::write(path.join("recording.json"), metadata.to_string()).unwrap();
+    for image in ["reflection.ome.tif", "transmission.ome.tif"].map(|name| path.join(name)) {
+        let Ok(mut bytes) = fs::read(&image) else { continue };
+        // Tag 65100 of type 7 with 47 bytes.
+        let field = [0x4c, 0xfe, 7, 0, 47, 0, 0, 0, 0, 0, 0, 0];
+        let mut changed = 0;
+        for at in 0..bytes.len() - field.len() {
+            if bytes[at..].starts_with(&field) {
+                bytes[at + 4] = 44;
+                changed += 1;
+            }
+        }
+        assert!(changed > 100, "{changed} pages");
+        fs::write(&image, bytes).unwrap();
+    }
+}
+
+#[test]
+fn recordings_of_before_are_played_and_recovered() {
+    for format in FORMATS {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run");
+        recording(&path, format, EXPOSURES);
+        make_old(&path);
+        let old = fs::read_to_string(path.join("ledger.csv")).unwrap();
+        let mut replay = replay(std::slice::from_ref(&path), ReplayOptions::default());
+        assert_eq!(replay.info.exposures, EXPOSURES);
+        for channel in Channel::BOTH {
+            let frames = read(armed(&mut replay.cameras[channel.index()]).as_mut(), LEN);
+            let expected = (0..EXPOSURES).filter(|exposure| is_recorded(channel, *exposure)).count();
+            assert_eq!(frames.len(), expected, "{channel}");
+            assert!(frames.iter().all(|(info, counts)| *counts == pixels(channel, info.exposure.0)));
+        }
+        assert_eq!(recover(&path).unwrap().outcome, Outcome::Sound);
+        assert_eq!(fs::read_to_string(path.join("ledger.csv")).unwrap(), old, "nothing was to be done");
+        fs::write(path.join("ledger.csv"), &old[..old.len() / 2]).unwrap();
+        assert_eq!(recover(&path).unwrap().outcome, Outcome::Repaired);
+        let new = fs::read_to_string(path.join("ledger.csv")).unwrap();
+        let rows = |text: &str, more: &str| {
+            let rows = text.lines().filter(|line| line.contains("recorded"));
+            rows.map(|line| line.to_owned() + more).collect::<Vec<_>>()
+        };
+        assert_eq!(rows(&new, ""), rows(&old, ",,,,"));
+    }
 }
