@@ -7,8 +7,9 @@
 mod tests {
     use allocation_counter::{AllocationInfo, measure};
     use sofiscope::acquisition::{
-        Dispatch, ExposureRecord, Frame, FrameFacts, FramePair, FramePool, Grabbed, Grabber, GrabberEnd,
-        HostClock, LeaveOut, Pairing, PairingSettings, Patience, PressureGauge, Progress,
+        Conditions, Dispatch, ExposureRecord, Frame, FrameFacts, FramePair, FramePool, Grabbed, Grabber,
+        GrabberEnd, HostClock, LeaveOut, Pairing, PairingSettings, Patience, PressureGauge, Progress,
+        Surroundings,
     };
     use sofiscope::pipeline::{Bell, Received, Receiver, Sender, WhenFull, bounded, latest};
     use sofiscope::reconstruction::{BLOCK, LiveAnalysis};
@@ -82,6 +83,7 @@ mod tests {
             to_pairing,
             patience,
             clock: HostClock::start(),
+            surroundings: Surroundings::default(),
             stop: Arc::default(),
             status: Arc::default(),
         }
@@ -167,7 +169,7 @@ mod tests {
             pairing: Pairing::new(PairingSettings { period: PERIOD, reorder: 16, lead: None }, 512),
             to_analysis: Some(to_analysis),
             to_recording: Some(to_recording),
-            leave_out: LeaveOut::new(),
+            leave_out: LeaveOut::default(),
             gauge: PressureGauge::default(),
             progress: latest(Progress::default()).0,
             stop: Arc::default(),
@@ -202,7 +204,12 @@ mod tests {
             device_time: DeviceTime(exposure * 20_000_000),
             status: FrameStatus::Complete,
         };
-        FrameFacts { channel, info, received: HostTime(exposure * 20_000_000) }
+        FrameFacts {
+            channel,
+            info,
+            received: HostTime(exposure * 20_000_000),
+            conditions: Conditions::default(),
+        }
     }
 
     /// What the analysis thread takes for so many exposures of square frames, its helpers included.

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::pipeline::{Bell, Publisher, Received, Receiver, Refused, Sender};
 use sofiscope_hal::{Channel, ExposureIndex};
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -30,8 +30,28 @@ pub struct FramePair {
     pub frames: [Frame; 2],
 }
 
-/// Exposures that the analysis is not to have, because it had not in the run that is repeated.
-pub type LeaveOut = BTreeSet<u64>;
+/// Pairs that the analysis is not to have.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct LeaveOut {
+    /// Exposures that it had not in the run that is repeated, and why.
+    pub exposures: BTreeMap<u64, Loss>,
+    /// Pairs with a larger focus error, nanometers, or without a lock, are left out.
+    pub focus_gate_nm: Option<f64>,
+}
+
+impl LeaveOut {
+    /// Why the analysis is not to have this pair, if so.
+    fn reason(&self, exposure: ExposureIndex, frames: [&Frame; 2]) -> Option<Loss> {
+        let is_sharp = |gate_nm: f64| {
+            let errors = frames.map(|frame| frame.facts().conditions.focus_nm);
+            errors.iter().all(|error| error.is_some_and(|error_nm| error_nm.abs() <= gate_nm))
+        };
+        if self.focus_gate_nm.is_some_and(|gate_nm| !is_sharp(gate_nm)) {
+            return Some(Loss::OutOfFocus);
+        }
+        self.exposures.get(&exposure.0).copied()
+    }
+}
 
 /// What is shown while a run goes on.
 #[derive(Debug, Clone, Default)]
@@ -184,7 +204,11 @@ impl Dispatch {
         let (Some(queue), PairState::Paired) = (&mut self.to_analysis, resolved.pair) else {
             return Analysis::None;
         };
-        if pressure == Pressure::NoAnalysis || self.leave_out.contains(&resolved.exposure.0) {
+        // First: a pair without focus is never to be analyzed, whatever else kept it out.
+        if let Some(reason) = self.leave_out.reason(resolved.exposure, [reflected, transmitted]) {
+            return Analysis::LeftOut(reason);
+        }
+        if pressure == Pressure::NoAnalysis {
             return Analysis::LeftOut(Loss::ShedByPolicy);
         }
         let frames = [reflected.clone(), transmitted.clone()];

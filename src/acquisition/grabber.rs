@@ -4,7 +4,7 @@
 //! Never: waits for a consumer (unless its source is patient), allocates, looks at pixels.
 //! Fails: ends with the camera's error; frames without memory are [`Loss::NoBuffer`].
 
-use super::{FrameFacts, FramePool, Grabbed, Loss};
+use super::{FrameFacts, FramePool, Grabbed, Loss, Surroundings};
 use crate::pipeline::{Refused, Sender};
 use sofiscope_hal::{Channel, DeviceError, ErrorKind, FrameInfo, FrameStatus, FrameStream, HostTime};
 use std::collections::VecDeque;
@@ -89,6 +89,8 @@ pub struct Grabber {
     pub patience: Patience,
     /// The clock that stamps frames.
     pub clock: HostClock,
+    /// What surrounds them.
+    pub surroundings: Surroundings,
     /// Set from outside to end the work.
     pub stop: Arc<AtomicBool>,
     /// What others see.
@@ -134,7 +136,8 @@ impl Grabber {
             return Ok(Grabbed::Lost(self.facts(info), reason_of(info.status).unwrap_or(Loss::NoBuffer)));
         };
         let info = self.stream.next_frame(memory.counts_mut(), TURN)?;
-        let facts = FrameFacts { channel: self.channel, info, received: self.clock.now() };
+        let (received, conditions) = (self.clock.now(), self.surroundings.now());
+        let facts = FrameFacts { channel: self.channel, info, received, conditions };
         let grabbed = match reason_of(info.status) {
             None => Grabbed::Frame(memory.into_frame(facts)),
             Some(reason) => Grabbed::Lost(facts, reason),
@@ -144,7 +147,8 @@ impl Grabber {
     }
 
     fn facts(&self, info: FrameInfo) -> FrameFacts {
-        let facts = FrameFacts { channel: self.channel, info, received: self.clock.now() };
+        let (received, conditions) = (self.clock.now(), self.surroundings.now());
+        let facts = FrameFacts { channel: self.channel, info, received, conditions };
         self.note(facts);
         facts
     }

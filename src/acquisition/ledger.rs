@@ -3,7 +3,7 @@
 //! In: rows. Out: lines of comma-separated values and back.
 //! Never: repairs a line; a torn last line is the reader's to drop. Fails: [`LedgerError`] with the field.
 
-use super::Loss;
+use super::{Conditions, Light, Loss};
 use sofiscope_hal::{BlockId, Channel, DeviceTime, Epoch, ExposureIndex, HostTime};
 
 /// What the recording has of an exposure.
@@ -43,7 +43,7 @@ pub enum Analysis {
 }
 
 /// One line of the ledger.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LedgerRow {
     /// The exposure.
     pub exposure: ExposureIndex,
@@ -61,14 +61,22 @@ pub struct LedgerRow {
     pub pair: PairState,
     /// What the live analysis has.
     pub analysis: Analysis,
+    /// What surrounded the frame, if it came.
+    pub conditions: Conditions,
 }
+
+/// The columns of one ledger, told by its header.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LedgerColumns(usize);
 
 /// Why a line is no row.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LedgerError {
     /// A line with more or fewer fields.
-    #[error("{found} fields where a row has {}", LedgerRow::COLUMNS.len())]
+    #[error("{found} fields where a row has {expected}")]
     Fields {
+        /// Fields of a row.
+        expected: usize,
         /// Fields found.
         found: usize,
     },
@@ -84,7 +92,7 @@ pub enum LedgerError {
 
 impl LedgerRow {
     /// Names of the columns, in order.
-    pub const COLUMNS: [&'static str; 12] = [
+    pub const COLUMNS: [&'static str; 16] = [
         "exposure",
         "camera",
         "state",
@@ -97,6 +105,10 @@ impl LedgerRow {
         "host_time_ns",
         "pair",
         "analysis",
+        "focus_nm",
+        "x_um",
+        "y_um",
+        "light",
     ];
 
     /// The first line of a ledger, without line end.
@@ -124,7 +136,7 @@ impl LedgerRow {
         };
         let _ = writeln!(
             line,
-            "{},{},{state},{},{},{},{},{},{},{},{pair},{analysis}",
+            "{},{},{state},{},{},{},{},{},{},{},{pair},{analysis},{},{},{},{}",
             self.exposure.0,
             self.channel.letter(),
             Shown(reason),
@@ -134,17 +146,22 @@ impl LedgerRow {
             Shown(self.id.map(|(_, epoch)| epoch.0)),
             Shown(self.device_time.map(|time| time.0)),
             Shown(self.host_time.map(|time| time.0)),
+            Shown(self.conditions.focus_nm),
+            Shown(self.conditions.x_um),
+            Shown(self.conditions.y_um),
+            self.conditions.light,
         );
     }
 
-    /// Reads one line without its line end.
+    /// Reads one line with all columns, without its line end.
     ///
     /// # Errors
     /// [`LedgerError`] with the field that cannot be read.
     pub fn parse(line: &str) -> Result<Self, LedgerError> {
-        let fields: Vec<&str> = line.split(',').collect();
-        let found = fields.len();
-        let fields: [&str; 12] = fields.try_into().map_err(|_| LedgerError::Fields { found })?;
+        LedgerColumns::default().parse(line)
+    }
+
+    fn of_fields(fields: &[&str; 16]) -> Result<Self, LedgerError> {
         let at = |column: usize| Field { column: Self::COLUMNS[column], text: fields[column] };
         let state = match fields[2] {
             "recorded" => RowState::Recorded { page: at(4).number()?, crc32c: at(5).hexadecimal()? },
@@ -171,7 +188,46 @@ impl LedgerRow {
                 "" => Analysis::None,
                 _ => Analysis::LeftOut(at(11).loss()?),
             },
+            conditions: Conditions {
+                focus_nm: at(12).optional(Field::finite)?,
+                x_um: at(13).optional(Field::finite)?,
+                y_um: at(14).optional(Field::finite)?,
+                light: Light::parse(fields[15]).ok_or_else(|| at(15).error())?,
+            },
         })
+    }
+}
+
+/// Those that this program writes.
+impl Default for LedgerColumns {
+    fn default() -> Self {
+        Self(LedgerRow::COLUMNS.len())
+    }
+}
+
+impl LedgerColumns {
+    /// Columns of ledgers that were written before conditions were: the others are empty there.
+    const WITHOUT_CONDITIONS: usize = 12;
+
+    /// The columns that a header names, without its line end; `None` where it is not the header of a ledger.
+    #[must_use]
+    pub fn of_header(header: &str) -> Option<Self> {
+        let known = [LedgerRow::COLUMNS.len(), Self::WITHOUT_CONDITIONS];
+        known.into_iter().find(|&columns| header == LedgerRow::COLUMNS[..columns].join(",")).map(Self)
+    }
+
+    /// Reads one line without its line end.
+    ///
+    /// # Errors
+    /// [`LedgerError`] with the field that cannot be read.
+    pub fn parse(self, line: &str) -> Result<LedgerRow, LedgerError> {
+        let mut fields: Vec<&str> = line.split(',').collect();
+        let error = LedgerError::Fields { expected: self.0, found: fields.len() };
+        if fields.len() != self.0 {
+            return Err(error);
+        }
+        fields.resize(LedgerRow::COLUMNS.len(), "");
+        LedgerRow::of_fields(&fields.try_into().map_err(|_| error)?)
     }
 }
 
@@ -208,6 +264,10 @@ impl Field<'_> {
         self.text.parse().map_err(|_| self.error())
     }
 
+    fn finite(self) -> Result<f64, LedgerError> {
+        self.number().ok().filter(|number: &f64| number.is_finite()).ok_or_else(|| self.error())
+    }
+
     fn hexadecimal(self) -> Result<u32, LedgerError> {
         u32::from_str_radix(self.text, 16).map_err(|_| self.error())
     }
@@ -235,6 +295,12 @@ mod tests {
             host_time: Some(HostTime(341_000_000)),
             pair: PairState::Paired,
             analysis: Analysis::Analyzed,
+            conditions: Conditions {
+                focus_nm: Some(-12.25),
+                x_um: Some(1500.0),
+                y_um: Some(-0.1),
+                light: Light::of([(488, 10.0), (561, 20.0)]).unwrap(),
+            },
         };
         let lost = LedgerRow {
             state: RowState::Lost(Loss::UpstreamGap),
@@ -243,12 +309,14 @@ mod tests {
             host_time: None,
             pair: PairState::Not(Loss::Unpaired),
             analysis: Analysis::None,
+            conditions: Conditions::default(),
             ..recorded
         };
         let shed = LedgerRow {
             channel: Channel::Reflected,
             state: RowState::Unrecorded,
-            analysis: Analysis::LeftOut(Loss::ShedByPolicy),
+            analysis: Analysis::LeftOut(Loss::OutOfFocus),
+            conditions: Conditions { focus_nm: None, ..recorded.conditions },
             ..recorded
         };
         [recorded, lost, shed]
@@ -267,9 +335,32 @@ mod tests {
     fn a_torn_or_damaged_line_names_its_field() {
         let mut line = String::new();
         rows()[0].write_to(&mut line);
-        assert_eq!(line, "17,T,recorded,,16,00abcdef,65417,1,340000000,341000000,paired,analyzed\n");
-        assert_eq!(LedgerRow::parse("17,T,rec"), Err(LedgerError::Fields { found: 3 }));
+        assert_eq!(
+            line,
+            "17,T,recorded,,16,00abcdef,65417,1,340000000,341000000,paired,analyzed,-12.25,1500,-0.1,488=10;561=20\n"
+        );
+        let fields = LedgerError::Fields { expected: 16, found: 3 };
+        assert_eq!(LedgerRow::parse("17,T,rec"), Err(fields));
+        for (field, wrong) in [("-12.25", "NaN"), ("1500", "inf"), ("-0.1", "-0.1.2"), ("561=20", "561")] {
+            assert!(LedgerRow::parse(&line.trim().replace(field, wrong)).is_err(), "{wrong}");
+        }
         let said = LedgerRow::parse(&line.trim().replace("recorded", "eaten")).unwrap_err().to_string();
         assert_eq!(said, "state: \"eaten\" cannot be read");
+    }
+
+    #[test]
+    fn ledgers_of_before_are_read_by_their_header() {
+        let old = "exposure,camera,state,reason,page,crc32c,block_id,epoch,device_time_ns,host_time_ns,pair,analysis";
+        let columns = LedgerColumns::of_header(old).unwrap();
+        let line = "17,T,recorded,,16,00abcdef,65417,1,340000000,341000000,paired,analyzed";
+        let expected = LedgerRow { conditions: Conditions::default(), ..rows()[0] };
+        assert_eq!(columns.parse(line), Ok(expected));
+        assert!(LedgerRow::parse(line).is_err(), "a line without conditions in a ledger with them is torn");
+        let mut new = String::new();
+        rows()[0].write_to(&mut new);
+        assert!(columns.parse(new.trim()).is_err());
+        let columns = LedgerColumns::of_header(&LedgerRow::header()).unwrap();
+        assert_eq!(columns.parse(new.trim()), Ok(rows()[0]));
+        assert_eq!(LedgerColumns::of_header("exposure,camera"), None);
     }
 }

@@ -36,11 +36,13 @@ pub enum Loss {
     Stopping,
     /// It was on its way when the program was killed; found by recovery.
     CrashTail,
+    /// The focus error was larger than the plan allows, or no lock held.
+    OutOfFocus,
 }
 
 impl Loss {
-    /// Every reason.
-    pub const ALL: [Self; 15] = [
+    /// Every reason; frames are recorded with its place in here, so new ones come last.
+    pub const ALL: [Self; 16] = [
         Self::UpstreamGap,
         Self::Incomplete,
         Self::Timeout,
@@ -56,6 +58,7 @@ impl Loss {
         Self::ForeignSource,
         Self::Stopping,
         Self::CrashTail,
+        Self::OutOfFocus,
     ];
 
     /// The name in ledgers and reports.
@@ -77,6 +80,7 @@ impl Loss {
             Self::ForeignSource => "FOREIGN_SOURCE",
             Self::Stopping => "STOPPING",
             Self::CrashTail => "CRASH_TAIL",
+            Self::OutOfFocus => "OUT_OF_FOCUS",
         }
     }
 

@@ -22,13 +22,16 @@ mod pool;
 mod record;
 mod shedding;
 mod start;
+mod surroundings;
 
 pub use accounts::{Accounts, CameraAccount, LossRange, Tally};
 pub use dispatch::{Dispatch, DispatchReport, FramePair, LeaveOut, Progress};
 pub use grabber::{Grabber, GrabberEnd, GrabberStatus, HostClock, Patience};
-pub use ledger::{Analysis, LedgerError, LedgerRow, PairState, RowState};
+pub use ledger::{Analysis, LedgerColumns, LedgerError, LedgerRow, PairState, RowState};
 pub use loss::Loss;
 pub use pairing::{Grabbed, Pairing, PairingEvent, PairingSettings, Resolved, Surplus};
 pub use pool::{Frame, FrameFacts, FrameMemory, FramePool, PAGE_BYTES};
 pub use record::{ExposureRecord, Side};
 pub use shedding::{Pressure, PressureGauge, Shedding};
+pub(crate) use surroundings::FOCUS_STEPS_PER_NM;
+pub use surroundings::{Conditions, FocusGauge, Light, Surroundings};

@@ -5,6 +5,7 @@
 //!
 //! A frame needs no way back: the last reader that drops its [`Frame`] has returned the memory, see [`Slots`].
 
+use super::Conditions;
 use crate::pipeline::{Loan, Slots};
 use bytemuck::{cast_slice, cast_slice_mut};
 #[cfg(target_os = "linux")]
@@ -17,7 +18,7 @@ use std::sync::Arc;
 pub const PAGE_BYTES: usize = 4096;
 
 /// What is known of a frame beside its pixels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameFacts {
     /// The camera.
     pub channel: Channel,
@@ -25,6 +26,8 @@ pub struct FrameFacts {
     pub info: FrameInfo,
     /// When the frame was received.
     pub received: HostTime,
+    /// What surrounded it then.
+    pub conditions: Conditions,
 }
 
 /// Frames of at least this size lie in huge pages where the system has them; they are there sooner.
@@ -159,7 +162,12 @@ pub(crate) mod tests {
             device_time: DeviceTime(exposure * 20_000_000),
             status: FrameStatus::Complete,
         };
-        FrameFacts { channel, info, received: HostTime(exposure * 20_000_000 + 1000) }
+        FrameFacts {
+            channel,
+            info,
+            received: HostTime(exposure * 20_000_000 + 1000),
+            conditions: Conditions::default(),
+        }
     }
 
     #[test]

@@ -14,6 +14,7 @@ use super::recorder::{Recorder, RecorderStatus};
 use crate::acquisition::{
     Dispatch, DispatchReport, ExposureRecord, FramePair, FramePool, Grabbed, Grabber, GrabberEnd,
     GrabberStatus, HostClock, LeaveOut, Pairing, PairingSettings, Patience, PressureGauge, Progress,
+    Surroundings,
 };
 use crate::pipeline::{Bell, Publisher, Receiver, Sender, Stage, Viewer, WhenFull, bounded, latest, spawn};
 use crate::reconstruction::{
@@ -50,6 +51,8 @@ pub(super) struct DataPathSettings {
     pub(super) patience: Patience,
     /// Pairs that the analysis is not to have.
     pub(super) leave_out: LeaveOut,
+    /// What surrounds the frames.
+    pub(super) surroundings: Surroundings,
     /// Frames of each camera that memory is taken for; the default follows from their size.
     pub(super) pool_frames: Option<usize>,
 }
@@ -326,6 +329,7 @@ fn grabber(
         to_pairing,
         patience: settings.patience,
         clock,
+        surroundings: settings.surroundings.clone(),
         stop: Arc::clone(stop),
         status: Arc::default(),
     };

@@ -7,7 +7,7 @@ use super::analysis::{Prepared, TRACE_POINTS};
 use super::data_path::{AnalysisPart, DataPath, DataPathSettings, PathFailure, PreviewPart, RunReport};
 use super::preview_picture::{PreviewPicture, compose};
 use super::recorder::{Recorder, RecorderStatus};
-use crate::acquisition::{LeaveOut, Patience, Progress};
+use crate::acquisition::{Conditions, FocusGauge, LeaveOut, Light, Patience, Progress, Surroundings};
 use crate::control::contracts::{self, ArmedCamera, DataPathError, Drain, PathProgress, StopRecord};
 use crate::control::plan::{AcquisitionEvent, RecordingFormat};
 use crate::control::run_state::FinishReason;
@@ -16,7 +16,7 @@ use crate::recording::{
     self, CameraDescription, Format, Recording, RecordingPlan, RecordingSummary, StopStatus,
 };
 use crate::sofi::cumulant::CumulantEngine;
-use sofiscope_hal::{CameraIdentity, CameraSettings, Channel};
+use sofiscope_hal::{CameraIdentity, CameraSettings, Channel, Nanometers};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -37,6 +37,8 @@ pub(super) struct PathOptions {
     pub(super) patience: Patience,
     /// Pairs that the analysis is not to have.
     pub(super) leave_out: LeaveOut,
+    /// What the focus lock says of every frame.
+    pub(super) focus: FocusGauge,
     /// Where recordings go; the number of the series is added from the second on.
     pub(super) recording: Option<PathBuf>,
     /// The cameras, R and T.
@@ -111,10 +113,30 @@ impl LivePath {
         Ok(Some(AnalysisPart { engine, trace_every, quality: Some(quality), preview }))
     }
 
+    /// Place and light as the plan has them, which the sequencer has set or ended the series; focus as it comes.
+    fn surroundings(&self, event: &AcquisitionEvent) -> Result<Surroundings, DataPathError> {
+        let place = event.position.as_ref();
+        let lines = event.laser_power_mw.iter().map(|(&line, &power_mw)| (line, power_mw));
+        let light = Light::of(lines).ok_or_else(|| {
+            let most = Light::MOST_LINES;
+            DataPathError::Device(format!(
+                "the plan lights more than {most} laser lines at once; remove some"
+            ))
+        })?;
+        let series = Conditions {
+            focus_nm: None,
+            x_um: place.and_then(|place| place.x_um),
+            y_um: place.and_then(|place| place.y_um),
+            light,
+        };
+        Ok(Surroundings::of_series(self.options.focus.clone(), series))
+    }
+
     fn recorder(
         &self,
         event: &AcquisitionEvent,
         cameras: &[ArmedCamera],
+        conditions: Conditions,
     ) -> Result<Option<Recorder>, DataPathError> {
         let format = match event.duties.recording {
             RecordingFormat::OmeTiff => Format::OmeTiff,
@@ -141,6 +163,7 @@ impl LivePath {
             cameras: Channel::BOTH.map(describe),
             planned_exposures: event.exposures,
             simulated: self.options.identities.iter().any(|identity| identity.simulated),
+            conditions,
             provenance: self.options.provenance.clone(),
         };
         let recording = Recording::create(&plan).map_err(|error| recording_error(&error))?;
@@ -151,15 +174,20 @@ impl LivePath {
 impl contracts::DataPath for LivePath {
     fn arm(&mut self, event: &AcquisitionEvent, cameras: Vec<ArmedCamera>) -> Result<(), DataPathError> {
         let settings = cameras.first().map(|camera| camera.settings).ok_or_else(no_pair)?;
+        let surroundings = self.surroundings(event)?;
         let analysis = self.analysis_part(&settings, event.exposures)?;
-        let recorder = self.recorder(event, &cameras)?;
+        let recorder = self.recorder(event, &cameras, surroundings.series())?;
         let streams: Vec<_> = cameras.into_iter().map(|camera| camera.stream).collect();
         let streams = streams.try_into().map_err(|_| no_pair())?;
         let path = DataPathSettings {
             pixels: settings.region.num_pixels(),
             period: settings.period,
             patience: self.options.patience,
-            leave_out: self.options.leave_out.clone(),
+            leave_out: LeaveOut {
+                focus_gate_nm: event.duties.focus_gate.map(Nanometers::value),
+                ..self.options.leave_out.clone()
+            },
+            surroundings,
             pool_frames: self.options.pool_frames,
         };
         let running = DataPath::start(&path, streams, analysis, recorder)

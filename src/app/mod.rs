@@ -15,6 +15,8 @@ mod data_path;
 mod demo;
 mod devices;
 mod error;
+#[cfg(test)]
+mod focus_gate_tests;
 mod hardware;
 mod keeping;
 mod live_path;

@@ -81,6 +81,7 @@ impl Recorder {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::acquisition::Conditions;
     use crate::pipeline::{Bell, WhenFull, bounded};
     use crate::recording::{CameraDescription, Format, RecordingPlan};
     use sofiscope_hal::{CameraIdentity, CameraSettings, Region, TriggerMode};
@@ -106,6 +107,7 @@ mod tests {
             cameras: [camera.clone(), camera],
             planned_exposures: None,
             simulated: true,
+            conditions: Conditions::default(),
             provenance: Vec::new(),
         }
     }

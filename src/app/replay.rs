@@ -8,7 +8,7 @@ use super::live_path::PathOptions;
 use super::run::free_name;
 use super::session::{Ended, acquire, analysis_of, write};
 use super::simulated;
-use crate::acquisition::{LeaveOut, Patience};
+use crate::acquisition::{FocusGauge, LeaveOut, Loss, Patience};
 use crate::config::{AnalysisSettings, RawAnalysis};
 use crate::control::contracts::NoLasers;
 use crate::control::plan::RecordingFormat;
@@ -134,7 +134,10 @@ pub(super) fn play(
     let replay = open(paths, options).map_err(AppError::data)?;
     eprintln!("replay: {}", replay.info.description);
     let prepared = prepare(&replay, settings, start)?;
-    let leave_out = if as_live { replay.info.left_out_from(start) } else { LeaveOut::new() };
+    let mut left_out = replay.info.left_out_from(start);
+    // What the live analysis had no time for can be analyzed now; what is out of focus stays out.
+    left_out.retain(|_, reason| as_live || *reason == Loss::OutOfFocus);
+    let leave_out = LeaveOut { exposures: left_out, focus_gate_nm: None };
     let (exposures, simulated) = (replay.info.exposures.saturating_sub(start), replay.info.simulated);
     let recorded = replay.cameras.each_ref().map(crate::replay::ReplayCamera::recorded_settings);
     let options = PathOptions {
@@ -142,6 +145,7 @@ pub(super) fn play(
         preview_every: None,
         patience: if speed == ReplaySpeed::Max { Patience::Patient } else { Patience::Live },
         leave_out,
+        focus: FocusGauge::default(),
         recording: None,
         identities: replay.cameras.each_ref().map(|camera| camera.identity().clone()),
         pixel_pitch_nm: Some(prepared.pixel_pitch_nm),
@@ -211,7 +215,7 @@ fn period_of(milliseconds: Option<f64>) -> Result<Option<Duration>, AppError> {
 }
 
 /// What differs between the results of a recording and those of its replay.
-fn compare(recording: &Path, replayed: &Path) -> Result<Vec<String>, AppError> {
+pub(super) fn compare(recording: &Path, replayed: &Path) -> Result<Vec<String>, AppError> {
     let recorded = recording.join("results");
     if !recorded.is_dir() {
         return Err(AppError::Data(format!(

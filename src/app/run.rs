@@ -8,7 +8,7 @@ use super::live_path::PathOptions;
 use super::session::{acquire, analysis_of, write, write_preview};
 use super::simulated::{self, Rig};
 use super::text_file::read_text;
-use crate::acquisition::{LeaveOut, Patience};
+use crate::acquisition::{LeaveOut, Patience, Surroundings};
 use crate::config::{AnalysisSettings, CameraKind, Instrument, RawAnalysis, Simulation};
 use crate::control::plan::{Plan, RecordingFormat};
 use crate::control::preflight::{
@@ -110,7 +110,8 @@ pub(super) fn run(arguments: &RunArguments) -> Result<(), AppError> {
         analysis: Some(prepared.clone()),
         preview_every: Some(Duration::from_millis(300)),
         patience,
-        leave_out: LeaveOut::new(),
+        leave_out: LeaveOut::default(),
+        focus: rig.focus,
         recording: Some(out.clone()),
         identities: rig.identities,
         pixel_pitch_nm: Some(prepared.pixel_pitch_nm),
@@ -358,7 +359,8 @@ fn facts(setup: &Setup, prepared: &Prepared, out: &Path) -> Result<Facts, AppErr
         pixels: pixels as usize,
         period,
         patience: setup.patience,
-        leave_out: LeaveOut::new(),
+        leave_out: LeaveOut::default(),
+        surroundings: Surroundings::default(),
         pool_frames: None,
     };
     Ok(Facts {

@@ -1,6 +1,6 @@
 //! The simulated instrument as a rig for the sequencer; chosen by name in the configuration, never as a fallback.
 
-use crate::acquisition::Patience;
+use crate::acquisition::{FocusGauge, Patience};
 use crate::config::TriggerKind;
 use crate::control::contracts::Illumination;
 use crate::control::plan::{
@@ -22,6 +22,8 @@ pub(super) struct Rig {
     pub(super) sensors: [(u32, u32); 2],
     pub(super) shortest_periods: [Duration; 2],
     pub(super) saturation_counts: [u16; 2],
+    /// What the focus lock says of every frame.
+    pub(super) focus: FocusGauge,
 }
 
 /// Lasers that light nothing; the simulated sample shines by itself.
@@ -63,6 +65,7 @@ pub(super) fn rig(source: Source, settings: InstrumentSettings, trigger: Trigger
         sensors: capabilities.each_ref().map(|camera| (camera.sensor_width, camera.sensor_height)),
         shortest_periods: capabilities.each_ref().map(|camera| camera.shortest_period),
         saturation_counts: capabilities.each_ref().map(|camera| camera.saturation_counts),
+        focus: FocusGauge::default(),
     }
 }
 
@@ -89,6 +92,11 @@ pub(super) fn series(period: Duration, exposures: u64, recording: RecordingForma
         exposures: Some(exposures),
         stop: StopRule::default(),
         laser_power_mw: BTreeMap::new(),
-        duties: Duties { recording, on_record_drop: OnRecordDrop::Stop, focus: FocusWish::Off },
+        duties: Duties {
+            recording,
+            on_record_drop: OnRecordDrop::Stop,
+            focus: FocusWish::Off,
+            focus_gate: None,
+        },
     }
 }

@@ -1,6 +1,6 @@
 //! A recording in the other format: the same pixels, rows and events.
 //!
-//! In: a finished recording. Out: a new one beside it; its ledger is the same byte for byte.
+//! In: a finished recording. Out: a new one beside it; its ledger has the same rows.
 //! Never: changes the source, copies a frame whose checksum is wrong. Fails: [`RecordingError`].
 
 use super::gate::Gate;
@@ -58,6 +58,7 @@ fn plan_of(run: &RecordedRun, format: Format, directory: &Path) -> Result<Record
         cameras: metadata.cameras.clone(),
         planned_exposures: metadata.planned_exposures,
         simulated: metadata.simulated,
+        conditions: metadata.conditions,
         provenance: metadata.provenance.iter().map(text).collect::<Result<_, RecordingError>>()?,
     })
 }
@@ -76,5 +77,6 @@ fn frame(run: &mut RecordedRun, row: &LedgerRow) -> Result<Option<Frame>, Record
     let channel: Channel = row.channel;
     let info =
         FrameInfo { exposure: row.exposure, block_id, epoch, device_time, status: FrameStatus::Complete };
-    Ok(Some(Frame::of_counts(FrameFacts { channel, info, received }, &counts)))
+    let facts = FrameFacts { channel, info, received, conditions: row.conditions };
+    Ok(Some(Frame::of_counts(facts, &counts)))
 }

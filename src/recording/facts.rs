@@ -1,7 +1,7 @@
 //! What each frame carries with it in the image file: enough to write its row of the ledger again.
 //!
-//! In: a row with a recorded frame. Out: 44 bytes, and the row back.
-//! Never: stands for a lost frame. Fails: `None` for bytes that no row gives.
+//! In: a row with a recorded frame. Out: 47 bytes, and the row back.
+//! Never: stands for a lost frame, holds what is the same in the whole recording: place and light. Fails: `None` for bytes that no row gives.
 //!
 //! | bytes | holds, little-endian |
 //! |---|---|
@@ -13,13 +13,22 @@
 //! | 36..40 | CRC-32C of the pixels |
 //! | 40 | pair: 0 paired, else 1 + place of the reason in [`Loss::ALL`] |
 //! | 41 | analysis: 0 analyzed, 255 none, else 1 + place of the reason |
-//! | 42..44 | low half of the CRC-32C of the bytes before, 1 where that is 0; 0 where it was not written |
+//! | 42..44 | low half of the CRC-32C of the bytes before and of the focus error, 1 where that is 0; 0 where it was not written |
+//! | 44..47 | focus error in 0.01 nm, plus 2²³; 0 for none, and where the check leaves it out |
+//!
+//! Recordings of before have the first 44 bytes only.
 
-use crate::acquisition::{Analysis, LedgerRow, Loss, PairState, RowState};
+use crate::acquisition::{Analysis, Conditions, FOCUS_STEPS_PER_NM, LedgerRow, Loss, PairState, RowState};
 use sofiscope_hal::{BlockId, Channel, DeviceTime, Epoch, ExposureIndex, HostTime};
 
 /// Bytes of the facts of one frame.
-pub(super) const FACTS_BYTES: usize = 44;
+pub(super) const FACTS_BYTES: usize = 47;
+
+/// Bytes of the facts in recordings of before; the others are 0 then.
+pub(super) const FIRST_FACTS_BYTES: usize = 44;
+
+/// What stands for a focus error of 0.
+const FOCUS_ZERO: i32 = 1 << 23;
 
 /// Where the check of the other bytes stands.
 const CHECK_AT: usize = 42;
@@ -47,8 +56,9 @@ pub(super) fn encode(row: &LedgerRow) -> Option<FactsBytes> {
         Analysis::None => u8::MAX,
         Analysis::LeftOut(loss) => code(loss),
     };
+    bytes[FIRST_FACTS_BYTES..].copy_from_slice(&focus_bytes(row.conditions.focus_nm));
     let check = check(&bytes);
-    bytes[CHECK_AT..].copy_from_slice(&check.to_le_bytes());
+    bytes[CHECK_AT..FIRST_FACTS_BYTES].copy_from_slice(&check.to_le_bytes());
     Some(bytes)
 }
 
@@ -74,12 +84,31 @@ pub(super) fn decode(bytes: &FactsBytes, channel: Channel, page: u64) -> Option<
             u8::MAX => Analysis::None,
             code => Analysis::LeftOut(loss(code)?),
         },
+        conditions: Conditions { focus_nm: focus_of(bytes), ..Conditions::default() },
     })
 }
 
 /// Tells facts of which a loss of power has taken a part.
 fn check(bytes: &FactsBytes) -> u16 {
-    (crc32c::crc32c(&bytes[..CHECK_AT]) as u16).max(1)
+    let first = crc32c::crc32c(&bytes[..CHECK_AT]);
+    let focus = &bytes[FIRST_FACTS_BYTES..];
+    let all = if *focus == [0; 3] { first } else { crc32c::crc32c_append(first, focus) };
+    (all as u16).max(1)
+}
+
+/// A focus error of more than 80 µm is none.
+fn focus_bytes(error_nm: Option<f64>) -> [u8; 3] {
+    let steps = error_nm.map(|error_nm| (error_nm * FOCUS_STEPS_PER_NM).round());
+    let steps = steps
+        .filter(|steps| steps.abs() < f64::from(FOCUS_ZERO))
+        .map_or(0, |steps| steps as i32 + FOCUS_ZERO);
+    let [low, middle, high, _] = steps.to_le_bytes();
+    [low, middle, high]
+}
+
+fn focus_of(bytes: &FactsBytes) -> Option<f64> {
+    let steps = i32::from_le_bytes([bytes[44], bytes[45], bytes[46], 0]);
+    (steps != 0).then(|| f64::from(steps - FOCUS_ZERO) / FOCUS_STEPS_PER_NM)
 }
 
 fn code(loss: Loss) -> u8 {
@@ -101,6 +130,7 @@ mod tests {
             host_time: Some(HostTime(5)),
             pair,
             analysis,
+            conditions: Conditions::default(),
         }
     }
 
@@ -112,6 +142,14 @@ mod tests {
                 let row = row(pair, analysis);
                 assert_eq!(decode(&encode(&row).unwrap(), Channel::Transmitted, 7), Some(row));
             }
+        }
+        for focus_nm in [0.0, -0.01, 0.01, 12.34, -1999.99, 83_886.07] {
+            let conditions = Conditions { focus_nm: Some(focus_nm), ..Conditions::default() };
+            let row = LedgerRow { conditions, ..row(PairState::Paired, Analysis::Analyzed) };
+            let bytes = encode(&row).unwrap();
+            assert_eq!(decode(&bytes, Channel::Transmitted, 7), Some(row));
+            let torn = std::array::from_fn(|at| if at < FIRST_FACTS_BYTES { bytes[at] } else { 0 });
+            assert_eq!(decode(&torn, Channel::Transmitted, 7), None, "{focus_nm} nm is missed");
         }
         let mut torn = encode(&row(PairState::Paired, Analysis::Analyzed)).unwrap();
         torn[..20].fill(0);

@@ -6,7 +6,7 @@ use super::{
     CameraDescription, Format, Recording, RecordingError, RecordingPlan, StopRecord, StopStatus, open,
 };
 use crate::acquisition::{
-    Analysis, ExposureRecord, Frame, FrameFacts, LedgerRow, Loss, PairState, RowState, Side,
+    Analysis, Conditions, ExposureRecord, Frame, FrameFacts, LedgerRow, Loss, PairState, RowState, Side,
 };
 use rustix::io::Errno;
 use sofiscope_hal::{
@@ -72,6 +72,7 @@ pub(super) fn plan(directory: &Path, format: Format) -> RecordingPlan {
         cameras: [camera.clone(), camera],
         planned_exposures: Some(EXPOSURES),
         simulated: true,
+        conditions: Conditions::default(),
         provenance: Vec::new(),
     }
 }
@@ -89,7 +90,8 @@ pub(super) fn exposure(index: u64) -> ExposureRecord {
             device_time: DeviceTime(index),
             status: FrameStatus::Complete,
         };
-        let facts = FrameFacts { channel, info, received: HostTime(index) };
+        let facts =
+            FrameFacts { channel, info, received: HostTime(index), conditions: Conditions::default() };
         Side::Frame(Frame::of_counts(facts, &pixels(channel, index)))
     });
     ExposureRecord {

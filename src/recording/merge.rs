@@ -7,7 +7,7 @@
 use super::RecordingError;
 use super::ledger_file::LEDGER;
 use super::reader::{ImagePages, LedgerRows};
-use crate::acquisition::{Analysis, LedgerRow, Loss, PairState, RowState};
+use crate::acquisition::{Analysis, Conditions, LedgerRow, Loss, PairState, RowState};
 use sofiscope_hal::{Channel, ExposureIndex};
 use std::path::Path;
 
@@ -33,11 +33,17 @@ pub(super) struct Merge<'a> {
     next_page: [u64; 2],
     next_frame: [Option<LedgerRow>; 2],
     ledger_bytes: u64,
+    /// Place and light of the recording, which frames do not carry.
+    conditions: Conditions,
     changes: Changes,
 }
 
 impl<'a> Merge<'a> {
-    pub(super) fn of(directory: &Path, images: &'a mut [ImagePages; 2]) -> Result<Self, RecordingError> {
+    pub(super) fn of(
+        directory: &Path,
+        images: &'a mut [ImagePages; 2],
+        conditions: Conditions,
+    ) -> Result<Self, RecordingError> {
         let ledger_bytes = std::fs::metadata(directory.join(LEDGER)).map_or(0, |metadata| metadata.len());
         let mut merge = Self {
             old: LedgerRows::open(directory).ok(),
@@ -46,6 +52,7 @@ impl<'a> Merge<'a> {
             next_page: [0; 2],
             next_frame: [None, None],
             ledger_bytes,
+            conditions,
             changes: Changes::default(),
         };
         if merge.old.is_none() {
@@ -100,7 +107,10 @@ impl<'a> Merge<'a> {
             self.take_frame(channel)?;
         }
         let row = match (frame, old) {
-            (Some(frame), _) => frame,
+            (Some(frame), _) => {
+                let conditions = Conditions { focus_nm: frame.conditions.focus_nm, ..self.conditions };
+                LedgerRow { conditions, ..frame }
+            }
             (None, Some(old)) if !matches!(old.state, RowState::Recorded { .. }) => old,
             (None, Some(old)) => LedgerRow { state: RowState::Lost(Loss::CrashTail), ..old },
             (None, None) => missing(exposure, channel),
@@ -162,5 +172,6 @@ fn missing(exposure: ExposureIndex, channel: Channel) -> LedgerRow {
         host_time: None,
         pair: PairState::Not(Loss::Unpaired),
         analysis: Analysis::None,
+        conditions: Conditions::default(),
     }
 }

@@ -4,6 +4,7 @@
 //! Never: a number that only the end knows. Fails: [`RecordingError`] naming file and field.
 
 use super::RecordingError;
+use crate::acquisition::Conditions;
 use serde::{Deserialize, Serialize};
 use sofiscope_hal::{CameraIdentity, CameraSettings, Channel};
 use std::io::Read;
@@ -80,6 +81,8 @@ pub struct RecordingPlan {
     pub planned_exposures: Option<u64>,
     /// True if anything in the instrument is not a physical device.
     pub simulated: bool,
+    /// Place and light, which stay as they are.
+    pub conditions: Conditions,
     /// Names and texts of files to keep beside the frames: instrument, plan, calibrations.
     pub provenance: Vec<(String, String)>,
 }
@@ -103,6 +106,9 @@ pub struct Metadata {
     pub planned_exposures: Option<u64>,
     /// True if anything in the instrument is not a physical device.
     pub simulated: bool,
+    /// Place and light; unknown in recordings of before.
+    #[serde(default)]
+    pub conditions: Conditions,
     /// Files kept beside the frames.
     pub provenance: Vec<String>,
 }
@@ -120,6 +126,7 @@ impl Metadata {
             cameras: plan.cameras.clone(),
             planned_exposures: plan.planned_exposures,
             simulated: plan.simulated,
+            conditions: plan.conditions,
             provenance: plan.provenance.iter().map(|(name, _)| name.clone()).collect(),
         };
         match metadata.fault() {

@@ -10,7 +10,7 @@ use super::ledger_file::LEDGER;
 use super::metadata::{Format, Metadata};
 use super::tiff_pages::{FrameSize, TiffPages};
 use super::zarr_pages::ZarrPages;
-use crate::acquisition::{LedgerRow, RowState};
+use crate::acquisition::{LedgerColumns, LedgerRow, RowState};
 use sofiscope_hal::Channel;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
@@ -215,6 +215,7 @@ fn checksums(directory: &Path) -> Result<[Vec<u32>; 2], RecordingError> {
 pub struct LedgerRows {
     path: PathBuf,
     lines: BufReader<File>,
+    columns: LedgerColumns,
     line: u64,
     /// Bytes of the whole lines so far.
     bytes: u64,
@@ -224,10 +225,11 @@ impl LedgerRows {
     pub(super) fn open(directory: &Path) -> Result<Self, RecordingError> {
         let path = directory.join(LEDGER);
         let file = File::open(&path).map_err(|source| RecordingError::storage(&path, "open", source))?;
-        let mut rows = Self { lines: BufReader::with_capacity(1 << 16, file), path, line: 0, bytes: 0 };
-        match rows.next_line()? {
-            Some(header) if header == LedgerRow::header() => Ok(rows),
-            _ => Err(RecordingError::damaged(&rows.path, "line 1", "not the header of a ledger")),
+        let (lines, columns) = (BufReader::with_capacity(1 << 16, file), LedgerColumns::default());
+        let mut rows = Self { lines, columns, path, line: 0, bytes: 0 };
+        match rows.next_line()?.as_deref().and_then(LedgerColumns::of_header) {
+            Some(columns) => Ok(Self { columns, ..rows }),
+            None => Err(RecordingError::damaged(&rows.path, "line 1", "not the header of a ledger")),
         }
     }
 
@@ -265,7 +267,7 @@ impl Iterator for LedgerRows {
             Ok(line) => line?,
             Err(error) => return Some(Err(error)),
         };
-        Some(LedgerRow::parse(&line).map_err(|error| {
+        Some(self.columns.parse(&line).map_err(|error| {
             RecordingError::damaged(&self.path, format!("line {}", self.line), error.to_string())
         }))
     }

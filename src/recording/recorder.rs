@@ -199,6 +199,7 @@ impl Recording {
             host_time: facts.map(|facts| facts.received),
             pair: record.pair,
             analysis: record.analysis,
+            conditions: facts.map(|facts| facts.conditions).unwrap_or_default(),
         };
         (row, frame)
     }

@@ -241,7 +241,7 @@ impl Recovery {
         &mut self,
         row: impl FnMut(&LedgerRow) -> Result<(), RecordingError>,
     ) -> Result<Changes, RecordingError> {
-        Merge::of(&self.directory, &mut self.images)?.run(row)
+        Merge::of(&self.directory, &mut self.images, self.metadata.conditions)?.run(row)
     }
 
     /// Writes the metadata that an ended recording has.

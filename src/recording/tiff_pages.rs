@@ -4,7 +4,7 @@
 //! Never: follows a chain backwards, so that no file keeps it busy for long. Fails: [`RecordingError`] with page and field.
 
 use super::RecordingError;
-use super::facts::{FACTS_BYTES, FactsBytes};
+use super::facts::{FACTS_BYTES, FIRST_FACTS_BYTES, FactsBytes};
 use super::tiff::FACTS_TAG;
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -24,8 +24,10 @@ pub(super) struct TiffPages {
     file: File,
     /// Offset of the pixels of each page.
     pixels: Vec<u64>,
-    /// Offset of the directory of each page.
+    /// Offset of the facts of each page.
     facts: Vec<u64>,
+    /// Their bytes; recordings of before have fewer.
+    facts_bytes: usize,
     /// Where the last page ends.
     end: u64,
     /// Offset of the description of the first page.
@@ -72,6 +74,7 @@ impl TiffPages {
             file: file.try_clone().map_err(|source| RecordingError::storage(path, "open", source))?,
             pixels: Vec::new(),
             facts: Vec::new(),
+            facts_bytes: FACTS_BYTES,
             end: 4096,
             description: None,
             chain_end: 8,
@@ -100,6 +103,7 @@ impl TiffPages {
         }
         self.pixels.push(found.pixels);
         self.facts.push(found.facts);
+        self.facts_bytes = found.facts_bytes;
         self.end = self.end.max((found.pixels + size.bytes()).next_multiple_of(4096));
         self.chain_end = found.next_at;
         found.next
@@ -160,7 +164,7 @@ impl TiffPages {
     pub(super) fn facts(&self, page: u64) -> Result<FactsBytes, RecordingError> {
         let mut facts = [0; FACTS_BYTES];
         self.file
-            .read_exact_at(&mut facts, self.facts[page as usize])
+            .read_exact_at(&mut facts[..self.facts_bytes], self.facts[page as usize])
             .map_err(|source| RecordingError::storage(&self.path, "read", source))?;
         Ok(facts)
     }
@@ -170,6 +174,7 @@ impl TiffPages {
 struct Found {
     pixels: u64,
     facts: u64,
+    facts_bytes: usize,
     next: u64,
     next_at: u64,
     description: Option<u64>,
@@ -185,11 +190,11 @@ fn directory(window: &mut Window<'_>, at: u64, page: u64, size: FrameSize) -> Re
         return bad("number of fields", num_fields.to_string());
     }
     let bytes = window.at(at, 16 + num_fields as usize * 20, "directory")?;
-    let value = |tag: u16| {
-        let fields = bytes[8..].chunks_exact(20).take(num_fields as usize);
-        let field = fields.into_iter().find(|field| field[..2] == tag.to_le_bytes())?;
-        Some(word(&field[12..]))
+    let field = |tag: u16| {
+        let mut fields = bytes[8..].chunks_exact(20).take(num_fields as usize);
+        fields.find(|field| field[..2] == tag.to_le_bytes())
     };
+    let value = |tag: u16| field(tag).map(|field| word(&field[12..]));
     let expected = [
         (256, "ImageWidth", size.width),
         (257, "ImageLength", size.height),
@@ -207,14 +212,19 @@ fn directory(window: &mut Window<'_>, at: u64, page: u64, size: FrameSize) -> Re
     let (Some(pixels), Some(facts)) = (value(273), value(FACTS_TAG)) else {
         return bad("StripOffsets", "no frame of a recording".to_owned());
     };
+    let facts_bytes = match field(FACTS_TAG).map(|field| word(&field[4..])) {
+        Some(count) if count == FIRST_FACTS_BYTES as u64 => FIRST_FACTS_BYTES,
+        Some(count) if count == FACTS_BYTES as u64 => FACTS_BYTES,
+        count => return bad("facts", format!("{count:?} bytes")),
+    };
     let next = word(&bytes[8 + num_fields as usize * 20..]);
     let description = value(270);
     let fits = |offset: u64, len: u64| offset.checked_add(len).is_some_and(|end| end <= window.len);
-    if !fits(pixels, size.bytes()) || !fits(facts, FACTS_BYTES as u64) {
+    if !fits(pixels, size.bytes()) || !fits(facts, facts_bytes as u64) {
         return bad("StripOffsets", format!("{pixels} is beyond the end of the file, {} bytes", window.len));
     }
     let next_at = at + 8 + num_fields * 20;
-    Ok(Found { pixels, facts, next, next_at, description })
+    Ok(Found { pixels, facts, facts_bytes, next, next_at, description })
 }
 
 /// A piece of the file that holds several directories.

@@ -11,7 +11,7 @@
 
 use super::RecordingError;
 use super::direct::{Aligned, DirectFile, PAGE};
-use super::facts::{FACTS_BYTES, FactsBytes};
+use super::facts::{FACTS_BYTES, FIRST_FACTS_BYTES, FactsBytes};
 use super::gate::{Change, Gate, Operation};
 use super::metadata::{CameraDescription, stride};
 use super::sync::SyncFile;
@@ -19,6 +19,7 @@ use super::writer::{Bounce, sync_file, write_frames};
 use serde_json::{Value, json};
 use std::fs;
 use std::io::Write;
+use std::ops::Range;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -28,7 +29,9 @@ pub(super) const SHARD_FRAMES: u64 = 64;
 /// Bytes of the index without its checksum.
 pub(super) const INDEX_BYTES: usize = 16 * SHARD_FRAMES as usize;
 /// Where the facts begin in the first page.
-pub(super) const FACTS_AT: usize = INDEX_BYTES + 8;
+const FACTS_AT: usize = INDEX_BYTES + 8;
+/// Where what recordings of before do not have begins, for all frames behind the other facts of all frames.
+const MORE_FACTS_AT: usize = FACTS_AT + SHARD_FRAMES as usize * FIRST_FACTS_BYTES;
 
 /// Where the number of frames stands in the metadata of the array.
 const SHAPE_AT: usize = 16;
@@ -259,8 +262,29 @@ impl Shard {
         let bytes = self.first_page.bytes_mut();
         bytes[16 * slot..16 * slot + 8].copy_from_slice(&at.to_le_bytes());
         bytes[16 * slot + 8..16 * slot + 16].copy_from_slice(&(camera.frame_bytes() as u64).to_le_bytes());
-        bytes[FACTS_AT + slot * FACTS_BYTES..][..FACTS_BYTES].copy_from_slice(facts);
+        for (part, place) in parts_of_facts(slot) {
+            bytes[place].copy_from_slice(&facts[part]);
+        }
     }
+}
+
+/// Where the parts of the facts of a frame lie in the first page.
+fn parts_of_facts(slot: usize) -> [(Range<usize>, Range<usize>); 2] {
+    const MORE: usize = FACTS_BYTES - FIRST_FACTS_BYTES;
+    let (first, more) = (FACTS_AT + slot * FIRST_FACTS_BYTES, MORE_FACTS_AT + slot * MORE);
+    [
+        (0..FIRST_FACTS_BYTES, first..first + FIRST_FACTS_BYTES),
+        (FIRST_FACTS_BYTES..FACTS_BYTES, more..more + MORE),
+    ]
+}
+
+/// The facts of a frame from the first page of its shard.
+pub(super) fn facts_in(first_page: &[u8], slot: usize) -> FactsBytes {
+    let mut facts = [0; FACTS_BYTES];
+    for (part, place) in parts_of_facts(slot) {
+        facts[part].copy_from_slice(&first_page[place]);
+    }
+    facts
 }
 
 pub(super) fn shard_path(directory: &Path, number: u64) -> PathBuf {

@@ -8,7 +8,7 @@ use super::facts::{self, FACTS_BYTES, FactsBytes};
 use super::metadata::{CameraDescription, read_text, stride};
 use super::reader::checksum;
 use super::tiff_pages::MAX_PAGES;
-use super::zarr::{FACTS_AT, INDEX_BYTES, SHARD_FRAMES, array_metadata, rewrite_shape, shard_path};
+use super::zarr::{INDEX_BYTES, SHARD_FRAMES, array_metadata, facts_in, rewrite_shape, shard_path};
 use sofiscope_hal::Channel;
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -106,10 +106,7 @@ impl ZarrPages {
     /// The facts of a frame that exists.
     pub(super) fn facts(&mut self, page: u64) -> Result<FactsBytes, RecordingError> {
         let shard = self.shard(page)?;
-        let at = FACTS_AT + (page % SHARD_FRAMES) as usize * FACTS_BYTES;
-        let mut facts = [0; FACTS_BYTES];
-        facts.copy_from_slice(&shard.first_page[at..at + FACTS_BYTES]);
-        Ok(facts)
+        Ok(facts_in(&shard.first_page, (page % SHARD_FRAMES) as usize))
     }
 
     fn shard(&mut self, page: u64) -> Result<&OpenShard, RecordingError> {
@@ -154,8 +151,7 @@ fn mend_index(path: &Path, camera: &CameraDescription, channel: Channel) -> std:
     page[..INDEX_BYTES].fill(u8::MAX);
     let mut pixels = vec![0; camera.frame_bytes()];
     for slot in 0..SHARD_FRAMES as usize {
-        let mut bytes = [0; FACTS_BYTES];
-        bytes.copy_from_slice(&page[FACTS_AT + slot * FACTS_BYTES..][..FACTS_BYTES]);
+        let bytes = facts_in(&page, slot);
         let offset = PAGE as u64 + slot as u64 * stride(camera);
         let expected = facts::decode(&bytes, channel, 0).as_ref().and_then(checksum);
         let is_read = file.read_exact_at(&mut pixels, offset).is_ok();

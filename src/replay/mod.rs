@@ -25,8 +25,9 @@ mod stream;
 mod timeline;
 mod zarr;
 
+use crate::acquisition::Loss;
 use sofiscope_hal::{Clock, MonotonicClock};
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -105,8 +106,8 @@ pub struct ReplayInfo {
     pub pixel_size_nm: Option<f64>,
     /// True when the frames were recorded from anything but physical cameras.
     pub simulated: bool,
-    /// Exposures that the live analysis had not got.
-    pub left_out: BTreeSet<u64>,
+    /// Exposures that the live analysis had not got, and why.
+    pub left_out: BTreeMap<u64, Loss>,
     /// Names and texts that say how a recording was made: plan, instrument.
     pub provenance: Vec<(String, String)>,
     /// One line for reports.
@@ -116,7 +117,7 @@ pub struct ReplayInfo {
 impl ReplayInfo {
     /// [`left_out`](Self::left_out) in the numbers of a replay that begins with exposure `start`.
     #[must_use]
-    pub fn left_out_from(&self, start: u64) -> BTreeSet<u64> {
-        self.left_out.range(start..).map(|exposure| exposure - start).collect()
+    pub fn left_out_from(&self, start: u64) -> BTreeMap<u64, Loss> {
+        self.left_out.range(start..).map(|(exposure, reason)| (exposure - start, *reason)).collect()
     }
 }

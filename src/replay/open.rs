@@ -14,7 +14,7 @@ use super::{
 };
 use crate::files::FileError;
 use sofiscope_hal::{CameraIdentity, CameraSettings, Channel, Region, TriggerMode};
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
@@ -217,7 +217,7 @@ fn files(reflected: Opened, transmitted: Opened, options: &ReplayOptions) -> Res
         is_period_assumed: period.is_none(),
         pixel_size_nm: reflected.pixel_size_nm.or(transmitted.pixel_size_nm),
         simulated: opened.iter().any(|opened| opened.simulated),
-        left_out: BTreeSet::new(),
+        left_out: BTreeMap::new(),
         provenance: Vec::new(),
         description: if reflected.path == transmitted.path {
             format!("replay of {} ({kinds})", reflected.path.display())

@@ -7,10 +7,10 @@
 
 use super::ReplayError;
 use super::source::{FrameSource, MAX_EXPOSURES, SourceFile, SourceFrame, check_read};
-use crate::acquisition::{Analysis, LedgerRow, RowState};
+use crate::acquisition::{Analysis, LedgerRow, Loss, RowState};
 use crate::recording::{self, CameraDescription, RecordedRun};
 use sofiscope_hal::{BlockId, Channel, DeviceTime, Epoch, ExposureIndex, FrameStatus, HostTime};
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -32,7 +32,7 @@ pub(super) struct Recorded {
     pub(super) origin: String,
     pub(super) sources: [RecordedFrames; 2],
     pub(super) exposures: u64,
-    pub(super) left_out: BTreeSet<u64>,
+    pub(super) left_out: BTreeMap<u64, Loss>,
     pub(super) provenance: Vec<(String, String)>,
 }
 
@@ -61,7 +61,7 @@ struct Place {
 struct Rows {
     places: [Vec<Place>; 2],
     exposures: u64,
-    left_out: BTreeSet<u64>,
+    left_out: BTreeMap<u64, Loss>,
 }
 
 pub(super) fn open(directory: &Path) -> Result<Recorded, ReplayError> {
@@ -131,8 +131,8 @@ fn rows(directory: &Path, run: &RecordedRun) -> Result<Rows, ReplayError> {
             return Err(ReplayError::damaged(&path, format!("line {line}, exposure"), detail));
         }
         rows.exposures = exposure + 1;
-        if matches!(row.analysis, Analysis::LeftOut(_)) {
-            rows.left_out.insert(exposure);
+        if let Analysis::LeftOut(reason) = row.analysis {
+            rows.left_out.insert(exposure, reason);
         }
         if let RowState::Recorded { page, .. } = row.state {
             let pages = run.frames(row.channel);

@@ -5,7 +5,7 @@
 
 use sofiscope::acquisition::{
     Accounts, Dispatch, ExposureRecord, FramePair, FramePool, Grabber, GrabberStatus, HostClock, LeaveOut,
-    Loss, Pairing, PairingEvent, PairingSettings, Patience, PressureGauge, Progress,
+    Loss, Pairing, PairingEvent, PairingSettings, Patience, PressureGauge, Progress, Surroundings,
 };
 use sofiscope::pipeline::{Bell, Publisher, Received, Receiver, Viewer, WhenFull, bounded, latest};
 use sofiscope_hal::{
@@ -114,7 +114,7 @@ pub(crate) fn run(settings: InstrumentSettings, rates: Rates) -> Outcome {
         pairing: Pairing::new(settings, 2 * POOL),
         to_analysis: Some(to_analysis),
         to_recording: Some(to_recording),
-        leave_out: LeaveOut::new(),
+        leave_out: LeaveOut::default(),
         gauge: gauge.clone(),
         progress: latest(Progress::default()).0,
         stop,
@@ -176,6 +176,7 @@ fn grabber(
         // The cameras wait for memory only; what overflows are the queues behind the pairing.
         patience: Patience::Patient,
         clock,
+        surroundings: Surroundings::default(),
         stop: Arc::clone(stop),
         status: Arc::default(),
     };

@@ -1,7 +1,8 @@
 //! What all tests of the recording room share: a plan, exposures whose pixels say which they are.
 
 use sofiscope::acquisition::{
-    Analysis, ExposureRecord, Frame, FrameFacts, LedgerRow, Loss, PairState, RowState, Side,
+    Analysis, Conditions, ExposureRecord, Frame, FrameFacts, LedgerRow, Light, Loss, PairState, RowState,
+    Side,
 };
 use sofiscope::recording::{CameraDescription, Format, RecordedRun, RecordingPlan, StopRecord, StopStatus};
 use sofiscope_hal::{
@@ -40,6 +41,7 @@ pub(crate) fn plan(directory: &Path, format: Format, height: u32, width: u32) ->
         cameras: [camera("R1", height, width), camera("T1", height, width)],
         planned_exposures: None,
         simulated: true,
+        conditions: Conditions { focus_nm: None, ..conditions(Channel::Reflected, 0) },
         provenance: vec![("plan.yaml".to_owned(), "# as used\n".to_owned())],
     }
 }
@@ -60,6 +62,17 @@ pub(crate) fn pixels(channel: Channel, exposure: u64, len: usize) -> Vec<u16> {
     counts
 }
 
+/// A focus error that comes and goes; place and light of the series.
+pub(crate) fn conditions(channel: Channel, exposure: u64) -> Conditions {
+    let steps = exposure as f64 * 37.0 - 4000.0 + channel.index() as f64;
+    Conditions {
+        focus_nm: (!exposure.is_multiple_of(3)).then_some(steps / 100.0),
+        x_um: Some(1250.5),
+        y_um: Some(-3.0),
+        light: Light::of([(488, 10.0), (561, 2.5)]).unwrap(),
+    }
+}
+
 pub(crate) fn frame(channel: Channel, exposure: u64, len: usize) -> Frame {
     let info = FrameInfo {
         exposure: ExposureIndex(exposure),
@@ -68,7 +81,8 @@ pub(crate) fn frame(channel: Channel, exposure: u64, len: usize) -> Frame {
         device_time: DeviceTime(exposure * 5_000_000 + 17),
         status: FrameStatus::Complete,
     };
-    let facts = FrameFacts { channel, info, received: HostTime(exposure * 5_000_000 + 1000) };
+    let received = HostTime(exposure * 5_000_000 + 1000);
+    let facts = FrameFacts { channel, info, received, conditions: conditions(channel, exposure) };
     Frame::of_counts(facts, &pixels(channel, exposure, len))
 }
 
@@ -114,6 +128,7 @@ pub(crate) fn assert_true_to_exposures(run: &mut RecordedRun, height: u32, width
                 assert_eq!((row.pair, row.analysis), (pushed.pair, pushed.analysis));
                 assert_eq!(row.device_time, Some(frame.facts().info.device_time));
                 assert_eq!(row.host_time, Some(frame.facts().received));
+                assert_eq!(row.conditions, frame.facts().conditions, "{channel}, exposure {index}");
                 assert_eq!(row.id, Some((frame.facts().info.block_id, Epoch(0))));
                 run.read_checked(channel, page, &mut counts).unwrap();
                 assert!(counts == frame.counts(), "{channel}, exposure {index}: wrong pixels");

@@ -82,6 +82,10 @@ fn export_keeps_pixels_and_ledger() {
         assert_eq!(run.metadata().format, to);
         assert_eq!(run.metadata().created, open(&directory).unwrap().metadata().created);
         assert_eq!(assert_true_to_exposures(&mut run, 40, 57), 200);
+        let lines =
+            ledger(&exported).lines().filter(|line| line.ends_with(",1250.5,-3,488=10;561=2.5")).count();
+        let received = run.rows().unwrap().filter(|row| row.as_ref().unwrap().id.is_some()).count();
+        assert_eq!(lines, received);
         assert!(exported.join("plan.yaml").exists());
     }
 }

@@ -1,6 +1,8 @@
 //! What all tests of the replay room share: recordings, and reading to the end.
 
-use sofiscope::acquisition::{Analysis, ExposureRecord, Frame, FrameFacts, Loss, PairState, Side};
+use sofiscope::acquisition::{
+    Analysis, Conditions, ExposureRecord, Frame, FrameFacts, Loss, PairState, Side,
+};
 use sofiscope::recording::{CameraDescription, Format, Recording, RecordingPlan, StopRecord, StopStatus};
 use sofiscope::replay::{Replay, ReplayCamera, ReplayOptions, open};
 use sofiscope_hal::{
@@ -55,12 +57,22 @@ pub(crate) fn is_left_out(exposure: u64) -> bool {
     Channel::BOTH.into_iter().all(|channel| is_recorded(channel, exposure)) && exposure.is_multiple_of(7)
 }
 
+/// Why an exposure is left out, if it is.
+pub(crate) fn reason(exposure: u64) -> Loss {
+    if exposure.is_multiple_of(2) { Loss::OutOfFocus } else { Loss::ShedByPolicy }
+}
+
 /// One exposure of a recording with gaps.
 pub(crate) fn record(exposure: u64) -> ExposureRecord {
     let sides = Channel::BOTH.map(|channel| {
         if is_recorded(channel, exposure) {
             let received = HostTime(received_ns(channel, exposure));
-            let facts = FrameFacts { channel, info: info(channel, exposure), received };
+            let facts = FrameFacts {
+                channel,
+                info: info(channel, exposure),
+                received,
+                conditions: Conditions::default(),
+            };
             Side::Frame(Frame::of_counts(facts, &pixels(channel, exposure)))
         } else {
             Side::Lost(Loss::UpstreamGap, None)
@@ -72,7 +84,7 @@ pub(crate) fn record(exposure: u64) -> ExposureRecord {
         sides,
         pair: if is_pair { PairState::Paired } else { PairState::Not(Loss::Unpaired) },
         analysis: match is_pair {
-            true if is_left_out(exposure) => Analysis::LeftOut(Loss::ShedByPolicy),
+            true if is_left_out(exposure) => Analysis::LeftOut(reason(exposure)),
             true => Analysis::Analyzed,
             false => Analysis::None,
         },
@@ -105,6 +117,7 @@ pub(crate) fn plan(directory: &Path, format: Format) -> RecordingPlan {
         cameras: [camera("R1"), camera("T1")],
         planned_exposures: None,
         simulated: false,
+        conditions: Conditions::default(),
         provenance: vec![("plan.yaml".to_owned(), "# as used\n".to_owned())],
     }
 }
@@ -125,7 +138,12 @@ pub(crate) fn whole_recording(directory: &Path, format: Format, exposures: u64) 
                 epoch: Epoch(0),
                 ..info(channel, exposure)
             };
-            let facts = FrameFacts { channel, info, received: HostTime(time_ns + 1000) };
+            let facts = FrameFacts {
+                channel,
+                info,
+                received: HostTime(time_ns + 1000),
+                conditions: Conditions::default(),
+            };
             Side::Frame(Frame::of_counts(facts, &pixels(channel, exposure)))
         });
         let (pair, analysis) = (PairState::Paired, Analysis::Analyzed);

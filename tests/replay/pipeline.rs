@@ -1,7 +1,9 @@
 //! What the pairing makes of a replay is what it made of the cameras.
 
 use crate::common::{FORMATS, LEN, PERIOD, armed, is_recorded, pixels, plan, record, recording, replay};
-use sofiscope::acquisition::{Frame, FrameFacts, Grabbed, Loss, PairState, Pairing, PairingSettings};
+use sofiscope::acquisition::{
+    Conditions, Frame, FrameFacts, Grabbed, Loss, PairState, Pairing, PairingSettings,
+};
 use sofiscope::recording::Recording;
 use sofiscope::replay::ReplayOptions;
 use sofiscope_hal::{Channel, ErrorKind, HostTime};
@@ -21,7 +23,12 @@ fn pairs(path: &Path) -> (Vec<u64>, u64) {
         for channel in Channel::BOTH {
             match streams[channel.index()].next_frame(&mut counts, Duration::from_secs(1)) {
                 Ok(info) => {
-                    let facts = FrameFacts { channel, info, received: HostTime(0) };
+                    let facts = FrameFacts {
+                        channel,
+                        info,
+                        received: HostTime(0),
+                        conditions: Conditions::default(),
+                    };
                     pairing.offer(Grabbed::Frame(Frame::of_counts(facts, &counts)));
                 }
                 Err(error) => {

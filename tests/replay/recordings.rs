@@ -1,11 +1,15 @@
 //! Recordings come again as they were: frames, numbers, times, gaps.
 
-use crate::common::{FORMATS, LEN, armed, info, is_left_out, is_recorded, pixels, read, recording, replay};
-use sofiscope::recording::Format;
+use crate::common::{
+    FORMATS, LEN, armed, info, is_left_out, is_recorded, pixels, read, reason, recording, replay,
+};
+use sofiscope::acquisition::Loss;
+use sofiscope::recording::{Format, Outcome, recover};
 use sofiscope::replay::{Repeat, ReplayError, ReplayOptions, open};
 use sofiscope_hal::{Camera, Channel, ErrorKind, FrameStatus, TriggerMode};
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::fs;
+use std::path::Path;
 use std::time::Duration;
 
 const EXPOSURES: u64 = 200;
@@ -21,7 +25,10 @@ fn exactly_the_recorded_frames_come_with_all_their_facts() {
         assert_eq!((info_of.height, info_of.width, info_of.exposures), (16, 16, EXPOSURES));
         assert_eq!((info_of.period, info_of.is_period_assumed), (Duration::from_millis(5), false));
         assert_eq!((info_of.pixel_size_nm, info_of.simulated), (Some(108.0), false));
-        let left_out: BTreeSet<u64> = (0..EXPOSURES).filter(|exposure| is_left_out(*exposure)).collect();
+        let left_out: BTreeMap<u64, Loss> = (0..EXPOSURES)
+            .filter(|exposure| is_left_out(*exposure))
+            .map(|exposure| (exposure, reason(exposure)))
+            .collect();
         assert!(!left_out.is_empty());
         assert_eq!(info_of.left_out, left_out);
         assert_eq!(info_of.provenance, [("plan.yaml".to_owned(), "# as used\n".to_owned())]);
@@ -63,7 +70,11 @@ fn a_replay_may_begin_anywhere() {
             assert!(right);
         }
         let left_out = replay.info.left_out_from(start);
-        assert!(left_out.iter().all(|exposure| is_left_out(exposure + start)));
+        assert!(
+            left_out
+                .iter()
+                .all(|(exposure, why)| { is_left_out(exposure + start) && *why == reason(exposure + start) })
+        );
         assert!(matches!(replay.control.seek(3), Err(ReplayError::Refused { .. })), "a camera is armed");
         for camera in &mut replay.cameras {
             camera.stop().unwrap();
@@ -174,4 +185,58 @@ fn a_stream_of_before_stays_at_its_end() {
     let mut now = armed(camera);
     assert_eq!(before.next_frame(&mut counts, Duration::ZERO).unwrap_err().kind(), ErrorKind::Ended);
     assert_eq!(now.next_frame(&mut counts, Duration::ZERO).unwrap().exposure.0, 0);
+}
+
+/// Makes a recording what it was before conditions were recorded.
+fn make_old(path: &Path) {
+    let ledger = fs::read_to_string(path.join("ledger.csv")).unwrap();
+    let first = |line: &str| line.split(',').take(12).collect::<Vec<_>>().join(",") + "\n";
+    fs::write(path.join("ledger.csv"), ledger.lines().map(first).collect::<String>()).unwrap();
+    let text = fs::read_to_string(path.join("recording.json")).unwrap();
+    let mut metadata: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert!(metadata.as_object_mut().unwrap().remove("conditions").is_some());
+    fs::write(path.join("recording.json"), metadata.to_string()).unwrap();
+    for image in ["reflection.ome.tif", "transmission.ome.tif"].map(|name| path.join(name)) {
+        let Ok(mut bytes) = fs::read(&image) else { continue };
+        // Tag 65100 of type 7 with 47 bytes.
+        let field = [0x4c, 0xfe, 7, 0, 47, 0, 0, 0, 0, 0, 0, 0];
+        let mut changed = 0;
+        for at in 0..bytes.len() - field.len() {
+            if bytes[at..].starts_with(&field) {
+                bytes[at + 4] = 44;
+                changed += 1;
+            }
+        }
+        assert!(changed > 100, "{changed} pages");
+        fs::write(&image, bytes).unwrap();
+    }
+}
+
+#[test]
+fn recordings_of_before_are_played_and_recovered() {
+    for format in FORMATS {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run");
+        recording(&path, format, EXPOSURES);
+        make_old(&path);
+        let old = fs::read_to_string(path.join("ledger.csv")).unwrap();
+        let mut replay = replay(std::slice::from_ref(&path), ReplayOptions::default());
+        assert_eq!(replay.info.exposures, EXPOSURES);
+        for channel in Channel::BOTH {
+            let frames = read(armed(&mut replay.cameras[channel.index()]).as_mut(), LEN);
+            let expected = (0..EXPOSURES).filter(|exposure| is_recorded(channel, *exposure)).count();
+            assert_eq!(frames.len(), expected, "{channel}");
+            assert!(frames.iter().all(|(info, counts)| *counts == pixels(channel, info.exposure.0)));
+        }
+        assert_eq!(recover(&path).unwrap().outcome, Outcome::Sound);
+        assert_eq!(fs::read_to_string(path.join("ledger.csv")).unwrap(), old, "nothing was to be done");
+        fs::write(path.join("ledger.csv"), &old[..old.len() / 2]).unwrap();
+        assert_eq!(recover(&path).unwrap().outcome, Outcome::Repaired);
+        let new = fs::read_to_string(path.join("ledger.csv")).unwrap();
+        let rows = |text: &str, more: &str| {
+            let rows = text.lines().filter(|line| line.contains("recorded"));
+            rows.map(|line| line.to_owned() + more).collect::<Vec<_>>()
+        };
+        assert_eq!(rows(&new, ""), rows(&old, ",,,,"));
+    }
 }

@@ -11,7 +11,7 @@ use super::super::AppError;
 use super::cameras;
 use crate::config::{FocusEntry, VirtualEntry};
 use crate::control::contracts::FocusHold;
-use crate::control::focus_lock::{FocusCommand, FocusLoop, ServoSettings};
+use crate::control::focus_lock::{FocusCommand, FocusError, FocusLoop, ServoSettings};
 
 /// Rate of the sensor: 100 readings per second.
 const PERIOD: Duration = Duration::from_millis(10);
@@ -79,6 +79,11 @@ fn put_on_table(library: &Path, directory: &Path) -> Result<(), AppError> {
 }
 
 impl Focus {
+    /// The focus error of the moment, for every frame.
+    pub(super) fn error(&self) -> FocusError {
+        self.focus.error()
+    }
+
     /// Asks for something and waits until `is_done` with the answer, or with the reason why not.
     fn wait(
         &self,

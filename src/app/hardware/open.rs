@@ -12,6 +12,7 @@ use super::super::simulated::Rig;
 use super::cameras;
 use super::drive::AwaitedStage;
 use super::guarded::Guarded;
+use crate::acquisition::FocusGauge;
 use crate::config::{Instrument, StageEntry, TriggerKind};
 use crate::control::contracts::{FocusHold, Illumination, NoLasers, StageDrive};
 use crate::control::sequencer::{CameraStation, Devices};
@@ -95,16 +96,19 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
         Some(guard) => Box::new(guard),
         None => Box::new(NoLasers),
     };
-    let focus = match &hardware.focus {
-        None => None,
+    let (focus, focus_gauge) = match &hardware.focus {
+        None => (None, FocusGauge::default()),
         Some(entry) => {
             let focus = super::focus::open(entry, hardware.virtual_devices.as_ref())?;
             identities.push("focus lock: Nano-Drive and spot camera".to_owned());
-            Some(Box::new(focus) as Box<dyn FocusHold>)
+            let error = focus.error();
+            let gauge = FocusGauge::new(move || error.now_nm());
+            (Some(Box::new(focus) as Box<dyn FocusHold>), gauge)
         }
     };
     let mut rig = rig(instrument, cameras, trigger, lasers, stage);
     rig.devices = rig.devices.with_focus(focus);
+    rig.focus = focus_gauge;
     Ok(Opened { rig, is_virtual: hardware.virtual_devices.is_some(), identities })
 }
 
@@ -194,5 +198,6 @@ fn rig(
         sensors: capabilities.each_ref().map(|camera| (camera.sensor_width, camera.sensor_height)),
         shortest_periods: capabilities.each_ref().map(|camera| camera.shortest_period),
         saturation_counts: capabilities.each_ref().map(|camera| camera.saturation_counts),
+        focus: FocusGauge::default(),
     }
 }

@@ -180,6 +180,13 @@ struct Owner {
     error: FocusError,
 }
 
+/// Nothing holds any more, however the thread ends; frames must not get the last error for ever.
+impl Drop for Owner {
+    fn drop(&mut self) {
+        self.error.set(None);
+    }
+}
+
 impl Owner {
     fn live(&mut self, commands: &Receiver<FocusCommand>) {
         self.read_place();

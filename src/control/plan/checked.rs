@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use sofiscope_hal::Region;
+use sofiscope_hal::{Nanometers, Region};
 
 use super::raw::{self, RawPlan, RawRegion};
 use super::{
@@ -68,6 +68,7 @@ impl Check<'_> {
             );
         }
         self.analysis();
+        let focus = self.focus();
         let key = |name: &str| format!("{OURS}.{name}");
         Plan {
             uid: raw.top.uid.clone(),
@@ -84,9 +85,25 @@ impl Check<'_> {
                 &OnRecordDrop::NAMES,
             ),
             recording: self.choice(&key("recording"), raw.run.recording.as_deref(), &RecordingFormat::NAMES),
-            focus: self.choice(&key("focus_lock"), raw.run.focus_lock.as_deref(), &FocusWish::NAMES),
+            focus,
+            focus_gate: self.focus_gate(focus),
             metadata: raw.metadata.clone(),
         }
+    }
+
+    fn focus(&self) -> FocusWish {
+        self.choice(&format!("{OURS}.focus_lock"), self.raw.run.focus_lock.as_deref(), &FocusWish::NAMES)
+    }
+
+    /// Without a lock no pair would pass.
+    fn focus_gate(&self, focus: FocusWish) -> Option<Nanometers> {
+        let key = format!("{OURS}.focus_gate_nm");
+        let gate_nm = self.raw.run.focus_gate_nm?;
+        if focus != FocusWish::Hold {
+            let message = "needs the focus lock, and the plan leaves it off";
+            self.judge.fault(&key, message, "add `focus_lock: hold`, or remove it");
+        }
+        Nanometers::new(self.judge.within(&key, gate_nm, 0.1, 10_000.0)).ok()
     }
 
     /// Positions are outside of time: a series is never torn apart by a move.

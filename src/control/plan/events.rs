@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use super::{CameraWish, FocusWish, OnRecordDrop, Plan, RecordingFormat, StagePosition};
 use crate::control::stop_rule::StopRule;
+use sofiscope_hal::Nanometers;
 
 /// One step of a plan: one series of exposures at one place.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,7 +27,7 @@ pub struct AcquisitionEvent {
 }
 
 /// What is to be kept of a series, and what must hold during it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Duties {
     /// In which format frames are recorded.
     pub recording: RecordingFormat,
@@ -34,6 +35,8 @@ pub struct Duties {
     pub on_record_drop: OnRecordDrop,
     /// Whether the focus lock holds.
     pub focus: FocusWish,
+    /// Pairs with a larger focus error, and those without a lock, are not analyzed.
+    pub focus_gate: Option<Nanometers>,
 }
 
 impl Plan {
@@ -52,6 +55,7 @@ impl Plan {
                 recording: self.recording,
                 on_record_drop: self.on_record_drop,
                 focus: self.focus,
+                focus_gate: self.focus_gate,
             },
         })
     }

@@ -11,6 +11,8 @@
 //!   sofiscope:
 //!     cameras: {exposure_ms: 20.0, period_ms: 20.5}
 //!     analysis: {order: 2, species: [Alexa Fluor 488, Atto 565], dichroic: zt 594 RDC}
+//!     focus_lock: hold
+//!     focus_gate_nm: 50                      # pairs farther out of focus are recorded and not analyzed
 //! ```
 
 mod checked;
@@ -26,7 +28,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 use serde_json::{Map, Value};
-use sofiscope_hal::{Channel, Region, TriggerMode};
+use sofiscope_hal::{Channel, Nanometers, Region, TriggerMode};
 
 use super::stop_rule::StopRule;
 use crate::config::{Fault, RawAnalysis};
@@ -152,6 +154,7 @@ pub struct Plan {
     on_record_drop: OnRecordDrop,
     recording: RecordingFormat,
     focus: FocusWish,
+    focus_gate: Option<Nanometers>,
     metadata: Map<String, Value>,
 }
 
@@ -222,6 +225,12 @@ impl Plan {
     #[must_use]
     pub fn focus(&self) -> FocusWish {
         self.focus
+    }
+
+    /// Pairs with a larger focus error, and those without a lock, are recorded and not analyzed.
+    #[must_use]
+    pub fn focus_gate(&self) -> Option<Nanometers> {
+        self.focus_gate
     }
 
     /// Metadata of other programs, as it came.

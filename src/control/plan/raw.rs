@@ -185,6 +185,8 @@ pub struct RawRun {
     pub recording: Option<String>,
     /// `none` or `hold`.
     pub focus_lock: Option<String>,
+    /// Focus error above which pairs are recorded and not analyzed, nanometers.
+    pub focus_gate_nm: Option<f64>,
 }
 
 /// A plan as typed.

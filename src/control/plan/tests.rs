@@ -161,6 +161,24 @@ fn settings_that_cannot_work_are_refused() {
 }
 
 #[test]
+fn a_focus_gate_needs_a_lock_that_holds() {
+    let with = |text: &str| PAPER.replace("recording:", &format!("{text}\n    recording:"));
+    let gated = Plan::from_text(&with("focus_lock: hold\n    focus_gate_nm: 50")).unwrap();
+    assert_eq!(gated.focus_gate().map(Nanometers::value), Some(50.0));
+    assert!(gated.events().all(|event| event.duties.focus_gate == gated.focus_gate()));
+    assert_eq!(Plan::from_text(&gated.to_yaml()).unwrap(), gated);
+    assert_eq!(Plan::from_text(PAPER).unwrap().focus_gate(), None);
+    for lock in ["", "focus_lock: off\n    "] {
+        expect(&with(&format!("{lock}focus_gate_nm: 50")), &["needs the focus lock"]);
+    }
+    for gate in ["0", "-50", ".nan", "20000"] {
+        let plan = with(&format!("focus_lock: hold\n    focus_gate_nm: {gate}"));
+        let faults = Plan::from_text(&plan).unwrap_err();
+        assert!(faults.to_string().contains("metadata.sofiscope.focus_gate_nm"), "{gate}: {faults}");
+    }
+}
+
+#[test]
 fn positions_are_whole() {
     let with = |positions: &str| format!("{PAPER}stage_positions: {positions}\n");
     expect(&with("[{x: 1}]"), &["only one of x and y"]);

@@ -1,7 +1,7 @@
 //! A plan as text again.
 
 use serde_json::{Map, Value, json};
-use sofiscope_hal::Region;
+use sofiscope_hal::{Nanometers, Region};
 
 use super::{FocusWish, OnRecordDrop, Plan, Readback, RecordingFormat, TRIGGERS, VERSION};
 
@@ -57,6 +57,7 @@ impl Plan {
             },
             "on_record_drop": OnRecordDrop::NAMES[self.on_record_drop as usize].0,
             "focus_lock": FocusWish::NAMES[self.focus as usize].0,
+            "focus_gate_nm": self.focus_gate.map(Nanometers::value),
             "recording": RecordingFormat::NAMES[self.recording as usize].0,
         })
     }
