@@ -216,9 +216,10 @@ impl Device<'_> {
         model: impl FnOnce(Duration) -> M,
     ) -> Result<(), AppError> {
         let terminal = Terminal::open(path).map_err(|error| self.failed(&error))?;
-        let mut model = Wire::new(model(monotonic()), settings);
+        let base = monotonic();
+        let mut model = Wire::new(model(base), settings);
         self.ready();
-        terminal.serve(&mut model, self.over).map_err(|error| self.failed(&error))
+        terminal.serve_since(base, &mut model, self.over).map_err(|error| self.failed(&error))
     }
 
     fn address(&self, address: Option<&str>) -> Result<Ipv4Addr, AppError> {
