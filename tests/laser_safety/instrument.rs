@@ -192,6 +192,7 @@ impl Instrument {
     pub(crate) fn start(bench: &Bench, period: Duration) -> Result<Self, String> {
         let mut child = Command::new(std::env::current_exe().unwrap())
             .args(["--exact", "instrument::process", "--ignored", "--nocapture", "--test-threads", "1"])
+            .env("RUST_BACKTRACE", "0")
             .env(FILE, bench.instrument())
             .env(PERIOD_MS, period.as_millis().to_string())
             .stdin(Stdio::piped())

@@ -16,7 +16,7 @@ const CLOSED_WITHIN: Duration = Duration::from_millis(300);
 /// How long the gates are watched afterwards.
 const WATCH: Duration = Duration::from_millis(1200);
 /// Trials at the same time.
-const PARALLEL: usize = 5;
+const PARALLEL: usize = 4;
 /// Row of the catalogue that is tried in a second way: the longest on-time of the board.
 const ON_TIME_ROW: u8 = 49;
 
@@ -36,10 +36,10 @@ fn try_out(cause: &Cause, number: u32) -> Result<Closed, String> {
     bench.await_light(Duration::from_secs(5))?;
     // Spread over the phases of proofs, heartbeats and questions.
     wait(Duration::from_micros(u64::from(number * 67_717 + u32::from(cause.row) * 13_331) % 300_000));
-    bench.await_light(Duration::from_secs(1))?;
     if let Some(trip) = instrument.tripped() {
         return Err(format!("a false trip before anything happened: {trip}"));
     }
+    bench.await_light(Duration::from_secs(1))?;
     let caused = (cause.happen)(&mut bench, &mut instrument, number)?;
     wait(WATCH);
     let (gates, laser) = (bench.gates(), bench.laser());

@@ -24,6 +24,7 @@ pub(in crate::app) struct GuardArguments {}
 /// # Errors
 /// [`AppError::Usage`] when standard input is no socket.
 pub(in crate::app) fn run(_arguments: &GuardArguments) -> Result<(), AppError> {
+    super::super::priority::go_ahead("the laser guard");
     // Ctrl-C at the terminal reaches every process of the group; the guard goes when the instrument goes.
     ctrlc::set_handler(|| {})
         .map_err(|error| AppError::Device(format!("signals cannot be heard: {error}")))?;

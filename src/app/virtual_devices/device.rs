@@ -25,6 +25,7 @@ use std::time::Duration;
 use super::sample::View;
 use super::{log_path, read, table_path};
 use crate::app::AppError;
+use crate::app::priority;
 use crate::app::text_file::read_text;
 use crate::config::{GatesKind, Instrument, LaserEntry, LaserLink, VirtualEntry};
 
@@ -215,6 +216,8 @@ impl Device<'_> {
         settings: LineSettings,
         model: impl FnOnce(Duration) -> M,
     ) -> Result<(), AppError> {
+        // Hardware does not wait for the programs of a computer.
+        priority::go_ahead(self.name);
         let terminal = Terminal::open(path).map_err(|error| self.failed(&error))?;
         let base = monotonic();
         let mut model = Wire::new(model(base), settings);
