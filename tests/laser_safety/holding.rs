@@ -26,7 +26,8 @@ fn assert_held(hold: Duration) {
     let mut instrument = Instrument::start(&bench, EXPOSURE).unwrap();
     instrument.ask("arm", "armed").unwrap();
     instrument.ask("shine", "lit").unwrap();
-    bench.await_light(Duration::from_secs(5)).unwrap();
+    let lit = bench.await_light(Duration::from_secs(5));
+    assert!(lit.is_ok(), "tripped by {:?}: {lit:?}", instrument.tripped());
     let begun = monotonic();
     wait(hold);
     let (held, end) = (monotonic() - begun, monotonic());

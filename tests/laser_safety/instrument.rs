@@ -43,6 +43,8 @@ fn say(word: &str, text: impl std::fmt::Display) {
 fn process() {
     let (Ok(file), Ok(period)) = (std::env::var(FILE), std::env::var(PERIOD_MS)) else { return };
     let period = Duration::from_millis(period.parse().unwrap());
+    // As from a terminal of its own: Linux shares its processors among sessions first.
+    rustix::process::setsid().unwrap();
     let (orders, waiting) = bounded(8);
     std::thread::spawn(move || {
         for line in std::io::stdin().lines().map_while(Result::ok) {

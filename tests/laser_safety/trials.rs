@@ -33,7 +33,9 @@ fn try_out(cause: &Cause, number: u32) -> Result<Closed, String> {
     let mut instrument = Instrument::start(&bench, cause.exposure)?;
     instrument.ask("arm", "armed")?;
     instrument.ask("shine", "lit")?;
-    bench.await_light(Duration::from_secs(5))?;
+    bench
+        .await_light(Duration::from_secs(5))
+        .map_err(|dark| format!("tripped by {:?}: {dark}", instrument.tripped()))?;
     // Spread over the phases of proofs, heartbeats and questions.
     wait(Duration::from_micros(u64::from(number * 67_717 + u32::from(cause.row) * 13_331) % 300_000));
     if let Some(trip) = instrument.tripped() {
