@@ -122,6 +122,8 @@ impl Bench {
         let (_, mut child) = self.devices.remove(at);
         child.kill().unwrap();
         child.wait().unwrap();
+        // Its terminal's number may be given to another one, and the name would then lead there.
+        std::fs::remove_file(self.path(if device == GATES { "controller" } else { "laser" })).unwrap();
     }
 
     /// Presses the reset button of the controller.

@@ -9,9 +9,9 @@ use std::time::Duration;
 
 /// 500 connects in a thorough run.
 const CONNECTS_PER_TRIAL: u32 = 25;
-const PARALLEL: u32 = 4;
+const PARALLEL: u32 = 10;
 /// Devices are switched off and on this often.
-const POWER_CYCLE_EVERY: u32 = 10;
+const POWER_CYCLE_EVERY: u32 = 5;
 const EXPOSURE: Duration = Duration::from_secs(20);
 
 #[test]

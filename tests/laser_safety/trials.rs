@@ -16,7 +16,7 @@ const CLOSED_WITHIN: Duration = Duration::from_millis(300);
 /// How long the gates are watched afterwards.
 const WATCH: Duration = Duration::from_millis(1200);
 /// Trials at the same time.
-const PARALLEL: usize = 4;
+const PARALLEL: usize = 7;
 /// Row of the catalogue that is tried in a second way: the longest on-time of the board.
 const ON_TIME_ROW: u8 = 49;
 
