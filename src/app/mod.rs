@@ -21,6 +21,7 @@ mod hardware;
 mod keeping;
 mod live_path;
 mod preview_picture;
+mod priority;
 mod progress;
 mod recorder;
 mod replay;

@@ -89,13 +89,15 @@ impl Link {
         DeviceError::new(kind, self.line.device(), message)
     }
 
-    /// Sends the bytes of darkness; the rest between them keeps the laser in step and it is dark already.
+    /// Sends the bytes of darkness; the rest between them, and after them for whoever does it again at once, keeps
+    /// the laser in step, and it is dark already.
     pub(crate) fn make_dark(&mut self) -> Result<(), LineError> {
         self.last = None;
         let first = self.line.send(CHANNELS_OFF);
         // Whatever comes meanwhile belongs to nobody, and a line that is gone is told by `send`.
         let _ignored = self.line.drain(GAP, GAP);
         let second = self.line.send(MASTER_OFF);
+        let _ignored = self.line.drain(GAP, GAP);
         first.and(second)
     }
 

@@ -6,11 +6,13 @@ use std::io::{Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rustix::fs::OFlags;
 use serialport::{SerialPort, TTYPort};
 use sofiscope_serial_line::LineModel;
+
+use crate::monotonic;
 
 /// Longest wait for bytes; also how soon a raised flag is seen.
 const LONGEST_WAIT: Duration = Duration::from_millis(20);
@@ -48,12 +50,25 @@ impl Terminal {
     ///
     /// # Errors
     /// When the terminal fails.
-    pub fn serve(mut self, model: &mut dyn LineModel, over: &AtomicBool) -> io::Result<()> {
-        let begun = Instant::now();
+    pub fn serve(self, model: &mut dyn LineModel, over: &AtomicBool) -> io::Result<()> {
+        self.serve_since(monotonic(), model, over)
+    }
+
+    /// The same for a model whose time was zero at `base`, a time of [`monotonic`]: what it notes in a log is then
+    /// not early by the moment that passed until its terminal was served.
+    ///
+    /// # Errors
+    /// When the terminal fails.
+    pub fn serve_since(
+        mut self,
+        base: Duration,
+        model: &mut dyn LineModel,
+        over: &AtomicBool,
+    ) -> io::Result<()> {
         let mut bytes = [0; 256];
         let mut out = Vec::new();
         while !over.load(Ordering::Relaxed) && model.plugged() {
-            let now = begun.elapsed();
+            let now = monotonic().saturating_sub(base);
             let next = model.advance(now, &mut out);
             if !out.is_empty() {
                 self.ours.write_all(&out)?;
@@ -62,7 +77,7 @@ impl Terminal {
             let wait = next.map_or(LONGEST_WAIT, |next| next.saturating_sub(now)).min(LONGEST_WAIT);
             self.ours.set_timeout(wait.max(Duration::from_micros(1)))?;
             match self.ours.read(&mut bytes) {
-                Ok(num_bytes) => model.receive(&bytes[..num_bytes], begun.elapsed()),
+                Ok(num_bytes) => model.receive(&bytes[..num_bytes], monotonic().saturating_sub(base)),
                 Err(error)
                     if matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::Interrupted) => {}
                 Err(error) => return Err(error),

@@ -15,9 +15,6 @@ use crate::guard::client::{GuardClient, start_process};
 use crate::guard::message::LightsState;
 use crate::guard::process;
 
-/// Change of priority for processes that must answer in time.
-pub(in crate::app) const AHEAD_OF_OTHERS: i32 = -15;
-
 /// Arguments of the hidden command `laser-guard`.
 #[derive(Debug, clap::Args)]
 pub(in crate::app) struct GuardArguments {}
@@ -27,13 +24,10 @@ pub(in crate::app) struct GuardArguments {}
 /// # Errors
 /// [`AppError::Usage`] when standard input is no socket.
 pub(in crate::app) fn run(_arguments: &GuardArguments) -> Result<(), AppError> {
+    super::super::priority::go_ahead("the laser guard");
     // Ctrl-C at the terminal reaches every process of the group; the guard goes when the instrument goes.
     ctrlc::set_handler(|| {})
         .map_err(|error| AppError::Device(format!("signals cannot be heard: {error}")))?;
-    // A guard that waits for a processor while others compute would close gates for no reason.
-    if let Err(error) = rustix::process::nice(AHEAD_OF_OTHERS) {
-        tracing::info!(%error, "the laser guard runs at the priority of everything else");
-    }
     let no_socket = |error: std::io::Error| {
         AppError::Usage(format!("the laser guard is started by the instrument, never by hand ({error})"))
     };

@@ -23,6 +23,9 @@ use crate::guard::process::Builder;
 const PULSE_WIDTH: Duration = Duration::from_millis(1);
 /// A gate stays open for one exposure and this much longer at most.
 const ON_TIME_MARGIN: Duration = Duration::from_millis(50);
+/// The gate closes this much before the exposure ends, and never for more than a twentieth of it: exposures that
+/// follow each other without a pause would otherwise be one long on-time to the board, which cuts it.
+const CLOSED_BETWEEN: Duration = Duration::from_micros(500);
 /// Full scale of the analog outputs of every controller here, volts.
 const FULL_SCALE_V: f64 = 5.0;
 
@@ -60,7 +63,10 @@ impl Builder for Lights {
                     longest_on_time: vec![longest + ON_TIME_MARGIN; 4],
                     full_scale: Volts::new(FULL_SCALE_V).unwrap_or_default(),
                     pulse_width: PULSE_WIDTH,
-                    step: Step::OwnClock { delay: Duration::ZERO, open: longest },
+                    step: Step::OwnClock {
+                        delay: Duration::ZERO,
+                        open: longest - CLOSED_BETWEEN.min(longest / 20),
+                    },
                 };
                 Ok(Box::new(Gatekeeper::connect(line, settings)?))
             }

@@ -11,5 +11,5 @@ mod guarded;
 mod lights;
 mod open;
 
-pub(super) use guarded::{AHEAD_OF_OTHERS, GuardArguments, run as run_guard};
+pub(super) use guarded::{GuardArguments, run as run_guard};
 pub(super) use open::{Opened, home, open, watch_lights};

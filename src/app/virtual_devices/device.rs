@@ -25,7 +25,7 @@ use std::time::Duration;
 use super::sample::View;
 use super::{log_path, read, table_path};
 use crate::app::AppError;
-use crate::app::hardware::AHEAD_OF_OTHERS;
+use crate::app::priority;
 use crate::app::text_file::read_text;
 use crate::config::{GatesKind, Instrument, LaserEntry, LaserLink, VirtualEntry};
 
@@ -53,10 +53,6 @@ pub(in crate::app) fn run(arguments: &DeviceArguments) -> Result<(), AppError> {
     // Ctrl-C at the terminal reaches every process of the group; a device goes when its instrument goes.
     ctrlc::set_handler(|| {})
         .map_err(|error| AppError::Device(format!("signals cannot be heard: {error}")))?;
-    // A real device has a processor of its own.
-    if let Err(error) = rustix::process::nice(AHEAD_OF_OTHERS) {
-        tracing::info!(%error, "this virtual device runs at the priority of everything else");
-    }
     let (instrument, entry) = read(&arguments.instrument)?;
     let over = Arc::new(AtomicBool::new(false));
     let raised = Arc::clone(&over);
@@ -218,10 +214,13 @@ impl Device<'_> {
         settings: LineSettings,
         model: impl FnOnce(Duration) -> M,
     ) -> Result<(), AppError> {
+        // Hardware does not wait for the programs of a computer.
+        priority::go_ahead(self.name);
         let terminal = Terminal::open(path).map_err(|error| self.failed(&error))?;
-        let mut model = Wire::new(model(monotonic()), settings);
+        let base = monotonic();
+        let mut model = Wire::new(model(base), settings);
         self.ready();
-        terminal.serve(&mut model, self.over).map_err(|error| self.failed(&error))
+        terminal.serve_since(base, &mut model, self.over).map_err(|error| self.failed(&error))
     }
 
     fn address(&self, address: Option<&str>) -> Result<Ipv4Addr, AppError> {

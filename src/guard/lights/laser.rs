@@ -10,8 +10,9 @@ use sofiscope_hal::{DeviceError, DeviceIdentity, Emission, Interlock, LaserState
 use super::{Event, JOBS, LaserStation, Recall, full, recalled, say, trip_of};
 use crate::guard::safety::Trip;
 
-/// Time between two questions while it emits.
-const LOOK_LIT: Duration = Duration::from_millis(300);
+/// Time between two questions while it emits: a line that is unplugged is only noticed by asking, and its gate is to
+/// be closed within 300 ms.
+const LOOK_LIT: Duration = Duration::from_millis(100);
 /// Time between two questions while it is dark.
 const LOOK_DARK: Duration = Duration::from_secs(1);
 /// Time between two attempts to make it dark.

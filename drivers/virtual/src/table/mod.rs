@@ -46,6 +46,8 @@ pub enum Quantity {
     InterlockOpen,
     /// 1 while somebody blocks the focus-lock beam.
     FocusBeamBlocked,
+    /// How often somebody has pressed the reset button of the trigger controller.
+    ControllerResets,
 }
 
 impl Quantity {
@@ -62,6 +64,7 @@ impl Quantity {
             Self::LastPulse => 9,
             Self::InterlockOpen => 10,
             Self::FocusBeamBlocked => 11,
+            Self::ControllerResets => 12,
             Self::Wavelength(line) => 16 + line.min(LINES - 1),
             Self::Power(line) => 16 + LINES + line.min(LINES - 1),
             Self::Level(line) => 16 + 2 * LINES + line.min(LINES - 1),
@@ -181,6 +184,7 @@ mod tests {
                 Quantity::LastPulse,
                 Quantity::InterlockOpen,
                 Quantity::FocusBeamBlocked,
+                Quantity::ControllerResets,
             ]
             .map(Quantity::cell),
         );

@@ -55,6 +55,8 @@ pub struct VirtualGatekeeper {
     dead_until: Duration,
     sent: Vec<u8>,
     num_bytes: u64,
+    /// Presses of its reset button that it has felt.
+    resets: f64,
     /// The camera's exposure output.
     pub exposure: ExposureLine,
     /// What the board sends while it boots.
@@ -66,6 +68,7 @@ impl VirtualGatekeeper {
     #[must_use]
     pub fn new(setup: BoardSetup, bench: Bench) -> Self {
         let board = Board::simulated(setup.serial, 1, setup.gates, setup.levels);
+        let resets = bench.table.get(Quantity::ControllerResets);
         Self {
             setup,
             core: Core::power_up(&board, 0),
@@ -76,6 +79,7 @@ impl VirtualGatekeeper {
             dead_until: Duration::ZERO,
             sent: Vec::new(),
             num_bytes: 0,
+            resets,
             exposure: ExposureLine::default(),
             boot_noise: Vec::new(),
         }
@@ -91,6 +95,15 @@ impl VirtualGatekeeper {
         self.sent.clear();
         self.sent.extend_from_slice(&self.boot_noise);
         self.turn(now, None);
+    }
+
+    /// Resets when somebody has pressed the button on the table.
+    fn feel_button(&mut self, now: Duration) {
+        let resets = self.pins.bench.table.get(Quantity::ControllerResets);
+        if resets != self.resets {
+            self.resets = resets;
+            self.reset(now);
+        }
     }
 
     /// What happens to the board when somebody opens its port.
@@ -163,6 +176,7 @@ fn clock(now: Duration) -> u32 {
 
 impl LineModel for VirtualGatekeeper {
     fn receive(&mut self, bytes: &[u8], now: Duration) {
+        self.feel_button(now);
         self.run_until(now);
         self.num_bytes += bytes.len() as u64;
         if now < self.dead_until {
@@ -174,6 +188,7 @@ impl LineModel for VirtualGatekeeper {
     }
 
     fn advance(&mut self, now: Duration, out: &mut Vec<u8>) -> Option<Duration> {
+        self.feel_button(now);
         self.run_until(now);
         out.append(&mut self.sent);
         let inputs_at = now + if self.pins.gates() == 0 { LOOP_IDLE } else { LOOP_ARMED };
