@@ -60,7 +60,7 @@ fn fields_that_are_not_supported_are_refused_by_name_all_at_once() {
         &text,
         &[
             "`z_plan` is not supported yet: the focus",
-            "`autofocus_plan` is not supported yet: the focus lock",
+            "`autofocus_plan` is not supported yet: write `focus_lock: hold`",
             "`grid_plan` is not supported yet",
             "`channels[1]` is not supported yet: all dyes",
             "`stage_positions[1].sequence` is not supported yet",
@@ -168,7 +168,7 @@ fn a_focus_gate_needs_a_lock_that_holds() {
     assert!(gated.events().all(|event| event.duties.focus_gate == gated.focus_gate()));
     assert_eq!(Plan::from_text(&gated.to_yaml()).unwrap(), gated);
     assert_eq!(Plan::from_text(PAPER).unwrap().focus_gate(), None);
-    for lock in ["", "focus_lock: off\n    "] {
+    for lock in ["", "focus_lock: \"off\"\n    "] {
         expect(&with(&format!("{lock}focus_gate_nm: 50")), &["needs the focus lock"]);
     }
     for gate in ["0", "-50", ".nan", "20000"] {
