@@ -58,8 +58,10 @@ fn process() {
     let (client, _) = GuardClient::set_up(socket, &std::fs::read_to_string(file).unwrap()).unwrap();
     let stays = Arc::new(AtomicBool::new(false));
     let holder = Holder { client, period, silence, stays: Arc::clone(&stays), told: false };
-    let sequencer: JoinHandle<()> =
-        std::thread::Builder::new().name("sequencer".to_owned()).spawn(|| holder.live(waiting)).unwrap();
+    let sequencer: JoinHandle<()> = std::thread::Builder::new()
+        .name("sequencer".to_owned())
+        .spawn(move || holder.live(&waiting))
+        .unwrap();
     let outcome = sequencer.join();
     while stays.load(Ordering::Relaxed) {
         // The rest of the program lives on without the thread that has failed.
@@ -100,7 +102,7 @@ struct Holder {
 
 impl Holder {
     /// The loop whose progress is proved.
-    fn live(mut self, orders: Receiver<String>) {
+    fn live(mut self, orders: &Receiver<String>) {
         loop {
             match orders.recv_timeout(TURN) {
                 Ok(order) => self.obey(&order),
