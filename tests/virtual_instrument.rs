@@ -3,7 +3,8 @@
 //! What the cameras of such a run recorded is compared with the frames that `simulate` makes of the same sample:
 //! the same bits mean that lasers, gates, trigger, stage, focus lock and both cameras did what the plan asked.
 
-#[cfg(all(test, feature = "aravis"))]
+#[cfg(test)]
+#[cfg(feature = "aravis")]
 mod tests {
     use serde_json::Value;
     use sofiscope_virtual::log::{Note, read};
