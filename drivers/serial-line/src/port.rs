@@ -87,6 +87,11 @@ pub fn open(path: &Path, settings: LineSettings) -> io::Result<Box<dyn Port>> {
 fn refusal(path: &Path, error: &serialport::Error) -> String {
     let path = path.display();
     match error.kind() {
+        serialport::ErrorKind::Io(io::ErrorKind::NotFound) => {
+            format!(
+                "cannot open {path}: no such port; check the cable, and the path with `ls /dev/serial/by-id`"
+            )
+        }
         serialport::ErrorKind::NoDevice => {
             format!("cannot open {path}: no such port, or another program has it ({error})")
         }

@@ -168,7 +168,7 @@ fn a_focus_gate_needs_a_lock_that_holds() {
     assert!(gated.events().all(|event| event.duties.focus_gate == gated.focus_gate()));
     assert_eq!(Plan::from_text(&gated.to_yaml()).unwrap(), gated);
     assert_eq!(Plan::from_text(PAPER).unwrap().focus_gate(), None);
-    for lock in ["", "focus_lock: \"off\"\n    "] {
+    for lock in ["", "focus_lock: none\n    "] {
         expect(&with(&format!("{lock}focus_gate_nm: 50")), &["needs the focus lock"]);
     }
     for gate in ["0", "-50", ".nan", "20000"] {
