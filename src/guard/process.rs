@@ -52,7 +52,11 @@ pub fn serve(socket: UnixStream, builder: &mut dyn Builder) -> io::Result<()> {
     messages.send(&answer(number, Answer::State(Box::new(guard.state()))))?;
     let outcome = guard.watch(&mut messages);
     guard.end();
-    outcome
+    match outcome {
+        // Who is gone cannot be told any more; everything is dark.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        outcome => outcome,
+    }
 }
 
 fn setup(messages: &mut Messages) -> io::Result<Option<(u64, String)>> {
