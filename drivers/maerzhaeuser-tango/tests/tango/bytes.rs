@@ -1,4 +1,4 @@
-//! The bytes on the wire, one by one, as devices.md 2.2 to 2.4 has them.
+//! The bytes on the wire, one by one, as the instruction set of the TANGO has them.
 
 use crate::bench::{SERIAL, length, place, settings};
 use sofiscope_hal::{DeviceError, ErrorKind, Motion, Properties, PropertyValue, Stage};

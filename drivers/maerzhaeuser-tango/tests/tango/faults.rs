@@ -1,4 +1,4 @@
-//! What the controller can do wrong (devices.md 11.2), and what the driver then does.
+//! What the controller can do wrong on a line, and what the driver then does.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
