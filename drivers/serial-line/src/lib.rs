@@ -3,7 +3,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`port`] | [`Port`]: bytes out, bytes in within a time, a second handle for STOP; [`open`] for real ports |
-//! | [`line`] | [`Line`]: commands, answers up to a terminator or of a length, quiet, resynchronization |
+//! | [`mod@line`] | [`Line`]: commands, answers up to a terminator or of a length, quiet, resynchronization |
 //! | [`model`] | [`LineModel`], a device at the other end as a pure state machine; [`ModelPort`] to talk to it |
 //! | [`wire`] | [`Wire`], which makes a model as slow and as faulty as a real line |
 //! | [`scripted`] | [`ScriptedPort`], which wants exactly these bytes and answers exactly those |

@@ -1,6 +1,6 @@
 //! From focus error to the next place of the drive.
 //!
-//! In the form of steps: z[n] = z[n−1] − (Kp·(e[n] − e[n−1]) + Ki·e[n]). What is clipped at slew limit or range is
+//! In the form of steps: `z[n] = z[n−1] − (Kp·(e[n] − e[n−1]) + Ki·e[n])`. What is clipped at slew limit or range is
 //! forgotten, so nothing winds up. The drive is a position loop of its own, which makes the integral part the
 //! main one; with a dead time of d periods the loop is stable for Ki < 1 / (2d + 1).
 
