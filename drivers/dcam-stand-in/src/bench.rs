@@ -4,7 +4,7 @@
 //! Fails: [`Code`].
 
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use sofiscope_hal::Channel;
 use sofiscope_virtual::OpticalTable;
@@ -52,7 +52,8 @@ pub(crate) struct Bench {
     handles: usize,
     pub(crate) users: u32,
     journal: Vec<String>,
-    begun: Instant,
+    /// When the bench was set up, on the clock of the optical table.
+    begun: Duration,
 }
 
 impl Bench {
@@ -70,12 +71,12 @@ impl Bench {
             handles: 0,
             users: 0,
             journal: Vec::new(),
-            begun: Instant::now(),
+            begun: sofiscope_virtual::monotonic(),
         }
     }
 
     fn now(&self) -> Duration {
-        self.begun.elapsed()
+        sofiscope_virtual::monotonic().saturating_sub(self.begun)
     }
 
     pub(crate) fn note(&mut self, call: String) {
@@ -91,8 +92,8 @@ impl Bench {
             let pulses = table.get(Quantity::Pulses);
             let number = (pulses - *seen).clamp(0.0, 1e4) as u32;
             if number > 0 {
-                let age = sofiscope_virtual::monotonic().as_secs_f64() - table.get(Quantity::LastPulse);
-                let last = now.saturating_sub(Duration::try_from_secs_f64(age).unwrap_or_default());
+                let last = Duration::try_from_secs_f64(table.get(Quantity::LastPulse)).unwrap_or_default();
+                let last = last.saturating_sub(self.begun).min(now);
                 // Several at once are spread evenly since the one before.
                 let total = self.lines[0].total();
                 let before = total.checked_sub(1).and_then(|number| self.lines[0].at(number)).unwrap_or(last);

@@ -105,7 +105,8 @@ impl Pins {
 
     pub(super) fn pulse(&mut self, now: Duration) {
         self.pulses += 1;
-        self.bench.table.set(Quantity::Pulses, self.pulses as f64);
+        // The time first: whoever sees the new number finds the time that belongs to it.
         self.bench.table.set(Quantity::LastPulse, self.monotonic(now).as_secs_f64());
+        self.bench.table.set(Quantity::Pulses, self.pulses as f64);
     }
 }
