@@ -19,6 +19,7 @@
 //! | [`display`] | colormaps, contrast, composites, scale bars |
 //! | [`report`] | one analysis as JSON and as a page to show |
 //! | [`config`] | dyes, dichroics and settings, checked |
+//! | [`viewer`] | the window: draws snapshots, sends commands |
 //! | [`app`] | the commands; the only room that knows every other |
 
 pub mod acquisition;
@@ -34,3 +35,4 @@ pub mod recording;
 pub mod replay;
 pub mod report;
 pub mod sofi;
+pub mod viewer;

@@ -21,7 +21,7 @@ struct Room {
 }
 
 /// The arrows that are allowed. A new arrow is a decision: it is made here, with its reason in the same change.
-const ROOMS: [Room; 13] = [
+const ROOMS: [Room; 14] = [
     // The mathematics knows nothing of the program: no file, no device, no log.
     Room {
         name: "sofi",
@@ -80,6 +80,13 @@ const ROOMS: [Room; 13] = [
     },
     // Plans and the order of steps; devices only through their contracts.
     Room { name: "control", rooms: &["config"], packages: &["sofiscope_hal"], crates: None },
+    // The window draws data and sends commands; it knows no device and no thread of the instrument.
+    Room {
+        name: "viewer",
+        rooms: &["control", "display", "pipeline", "reconstruction"],
+        packages: &[],
+        crates: None,
+    },
     // The composition root knows every room and is known by none; `main.rs` alone calls it.
     Room {
         name: "app",
@@ -96,6 +103,7 @@ const ROOMS: [Room; 13] = [
             "replay",
             "report",
             "sofi",
+            "viewer",
         ],
         packages: &[
             "sofiscope_dcam",

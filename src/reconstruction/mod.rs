@@ -7,6 +7,7 @@
 mod chain;
 mod feed;
 mod live;
+mod look;
 mod preview;
 mod quality;
 mod workers;
@@ -14,6 +15,7 @@ mod workers;
 pub use chain::{ChainSettings, FlatteningKind, ReconstructionError, Stages, reconstruct};
 pub use feed::{BLOCK, Feed, FeedError, feed};
 pub use live::{LiveAnalysis, LiveReport};
+pub use look::{CameraLook, HISTOGRAM_BINS, OneCamera, SofiLook, SofiStage, StageImage};
 pub use preview::{Preview, PreviewLink, PreviewReport, PreviewSettings, Shown, Snapshot, preview};
 pub use quality::{
     BleachingState, CENTRAL_SIDE, LagCheck, Quality, QualityError, QualityMonitor, QualitySettings,
