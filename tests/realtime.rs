@@ -169,6 +169,7 @@ mod tests {
             pairing: Pairing::new(PairingSettings { period: PERIOD, reorder: 16, lead: None }, 512),
             to_analysis: Some(to_analysis),
             to_recording: Some(to_recording),
+            to_look: None,
             leave_out: LeaveOut::default(),
             gauge: PressureGauge::default(),
             progress: latest(Progress::default()).0,

@@ -88,6 +88,30 @@ pub struct DispatchReport {
     pub lost_beside_preview: u64,
 }
 
+/// Pairs now and then for whoever looks at the cameras: none while anybody is short of time.
+#[derive(Debug)]
+pub struct Tap {
+    /// To the thread that looks; it has one place, and a pair that finds it taken is not looked at.
+    pub to_look: Sender<FramePair>,
+    /// Shortest time between two pairs.
+    pub every: Duration,
+    /// When the last one went.
+    pub last: Option<Instant>,
+}
+
+impl Tap {
+    fn offer(&mut self, exposure: ExposureIndex, [reflected, transmitted]: [&Frame; 2]) {
+        if self.last.is_some_and(|last| last.elapsed() < self.every) {
+            return;
+        }
+        let frames = [reflected.clone(), transmitted.clone()];
+        // Whoever looks takes what it can: this is no loss.
+        if self.to_look.send(FramePair { exposure, frames }).is_ok() {
+            self.last = Some(Instant::now());
+        }
+    }
+}
+
 /// The work of the pairing thread.
 #[derive(Debug)]
 pub struct Dispatch {
@@ -101,6 +125,8 @@ pub struct Dispatch {
     pub to_analysis: Option<Sender<FramePair>>,
     /// To the recording, if there is one.
     pub to_recording: Option<Sender<ExposureRecord>>,
+    /// To whoever looks at the cameras.
+    pub to_look: Option<Tap>,
     /// Pairs that the analysis is not to have.
     pub leave_out: LeaveOut,
     /// Who goes without, for the preview to see.
@@ -186,6 +212,12 @@ impl Dispatch {
         books.pressure = books.shedding.step(recording, analysis);
         self.gauge.set(books.pressure);
         let analysis = self.analyze(&resolved, books.pressure);
+        if let (Some(tap), Pressure::None) = (&mut self.to_look, books.pressure)
+            && let ([Side::Frame(reflected), Side::Frame(transmitted)], PairState::Paired) =
+                (&resolved.sides, resolved.pair)
+        {
+            tap.offer(resolved.exposure, [reflected, transmitted]);
+        }
         if analysis == Analysis::LeftOut(Loss::QueueFull) && books.pressure == Pressure::None {
             books.lost_beside_preview += 1;
         }

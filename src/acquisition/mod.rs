@@ -25,7 +25,7 @@ mod start;
 mod surroundings;
 
 pub use accounts::{Accounts, CameraAccount, LossRange, Tally};
-pub use dispatch::{Dispatch, DispatchReport, FramePair, LeaveOut, Progress};
+pub use dispatch::{Dispatch, DispatchReport, FramePair, LeaveOut, Progress, Tap};
 pub use grabber::{Grabber, GrabberEnd, GrabberStatus, HostClock, Patience};
 pub use ledger::{Analysis, LedgerColumns, LedgerError, LedgerRow, PairState, RowState};
 pub use loss::Loss;

@@ -116,6 +116,7 @@ fn measure(side: u32, arguments: &LiveArguments, order: usize) -> Result<LiveMea
         pixel_pitch_nm: None,
         provenance: Vec::new(),
         pool_frames: None,
+        onlooker: None,
     };
     let period = Duration::from_secs_f64(1.0 / arguments.rate);
     let event = simulated::series(period, arguments.pairs, recording.unwrap_or(RecordingFormat::None));

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! grab-r ─┐                  ┌─► record ─► disk
-//!         ├─► pair ──────────┤
+//!         ├─► pair ──────────┼─► look ─► latest frames, where somebody looks
 //! grab-t ─┘                  └─► analyze ─► preview ─► latest picture
 //! ```
 //!
@@ -14,9 +14,11 @@ use super::recorder::{Recorder, RecorderStatus};
 use crate::acquisition::{
     Dispatch, DispatchReport, ExposureRecord, FramePair, FramePool, Grabbed, Grabber, GrabberEnd,
     GrabberStatus, HostClock, LeaveOut, Pairing, PairingSettings, Patience, PressureGauge, Progress,
-    Surroundings,
+    Surroundings, Tap,
 };
-use crate::pipeline::{Bell, Publisher, Receiver, Sender, Stage, Viewer, WhenFull, bounded, latest, spawn};
+use crate::pipeline::{
+    Bell, Publisher, Received, Receiver, Sender, Stage, Viewer, WhenFull, bounded, latest, spawn,
+};
 use crate::reconstruction::{
     LiveAnalysis, LiveReport, PreviewReport, PreviewSettings, Quality, QualityMonitor, QualitySettings,
     Shown, Snapshot, preview,
@@ -55,6 +57,14 @@ pub(super) struct DataPathSettings {
     pub(super) surroundings: Surroundings,
     /// Frames of each camera that memory is taken for; the default follows from their size.
     pub(super) pool_frames: Option<usize>,
+}
+
+/// Somebody looks at the cameras themselves.
+pub(super) struct LookPart {
+    /// Shortest time between two looks.
+    pub(super) every: Duration,
+    /// Gets a pair now and then; it is free again when this returns.
+    pub(super) look: Box<dyn FnMut(&FramePair) + Send>,
 }
 
 impl DataPathSettings {
@@ -98,6 +108,7 @@ pub(super) struct DataPath<P: Send + Sync> {
     analysis: Option<AnalysisStage>,
     preview: Option<PreviewStage>,
     recorder: Option<Stage<Recording>>,
+    look: Option<Stage<()>>,
     recorder_status: RecorderStatus,
     stop: Arc<AtomicBool>,
     progress: Viewer<Progress>,
@@ -145,6 +156,7 @@ impl<P: Send + Sync + 'static> DataPath<P> {
         streams: [Box<dyn FrameStream>; 2],
         analysis: Option<AnalysisPart<P>>,
         recorder: Option<Recorder>,
+        look: Option<LookPart>,
     ) -> Result<Self, AppError> {
         let clock = HostClock::start();
         let stop = Arc::new(AtomicBool::new(false));
@@ -170,6 +182,7 @@ impl<P: Send + Sync + 'static> DataPath<P> {
             analysis_stages(analysis, frames, when_full, &gauge, clock, judge)?;
         let recorder_status = recorder.as_ref().map(|recorder| recorder.status.clone()).unwrap_or_default();
         let (to_recording, recorder) = recorder_stage(recorder, frames, when_full)?;
+        let (to_look, look) = look_stage(look)?;
         let (publisher, progress) = latest(Progress::default());
         let lead = (settings.patience == Patience::Live).then_some((frames / 4) as u64);
         let pairing =
@@ -180,6 +193,7 @@ impl<P: Send + Sync + 'static> DataPath<P> {
             pairing,
             to_analysis,
             to_recording,
+            to_look,
             leave_out: settings.leave_out.clone(),
             gauge,
             progress: publisher,
@@ -200,6 +214,7 @@ impl<P: Send + Sync + 'static> DataPath<P> {
             analysis,
             preview,
             recorder,
+            look,
             recorder_status,
             stop,
             progress,
@@ -213,6 +228,11 @@ impl<P: Send + Sync + 'static> DataPath<P> {
     /// What is shown now.
     pub(super) fn progress(&mut self) -> Progress {
         self.progress.look().clone()
+    }
+
+    /// From the last frame of the newest picture to the picture.
+    pub(super) fn latency(&mut self) -> Duration {
+        self.pictures.look().latency
     }
 
     /// How good the image is by now, once a subsequence has closed.
@@ -231,6 +251,7 @@ impl<P: Send + Sync + 'static> DataPath<P> {
             && self.analysis.as_ref().is_none_or(Stage::is_finished)
             && self.preview.as_ref().is_none_or(Stage::is_finished)
             && self.recorder.as_ref().is_none_or(Stage::is_finished)
+            && self.look.as_ref().is_none_or(Stage::is_finished)
     }
 
     /// What has failed so far.
@@ -300,6 +321,9 @@ impl<P: Send + Sync + 'static> DataPath<P> {
                 PreviewReport::default()
             })
         });
+        if let Some(Err(panic)) = self.look.map(Stage::join) {
+            note(panic.to_string());
+        }
         let picture = self.pictures.look().picture.clone();
         let recording = self.recorder.and_then(|stage| stage.join().map_err(|p| note(p.to_string())).ok());
         RunReport { picture, dispatch, analysis, preview, recording, camera_failures, defects, seconds }
@@ -391,6 +415,25 @@ fn recorder_stage(
     let (sender, records) = bounded("pair→record", (frames / 2).max(1), when_full, &Bell::default());
     let stage = spawn("record", move || recorder.run(records)).map_err(no_thread)?;
     Ok((Some(sender), Some(stage)))
+}
+
+type LookParts = (Option<Tap>, Option<Stage<()>>);
+
+fn look_stage(part: Option<LookPart>) -> Result<LookParts, AppError> {
+    let Some(LookPart { every, mut look }) = part else { return Ok((None, None)) };
+    let (to_look, mut pairs) = bounded("pair→look", 1, WhenFull::Refuse, &Bell::default());
+    let work = move || {
+        yield_to_others();
+        loop {
+            match pairs.receive(Duration::from_secs(1)) {
+                Received::Value(pair) => look(&pair),
+                Received::Empty => {}
+                Received::Closed => return,
+            }
+        }
+    };
+    let stage = spawn("look", work).map_err(no_thread)?;
+    Ok((Some(Tap { to_look, every, last: None }), Some(stage)))
 }
 
 fn no_memory(settings: &DataPathSettings, error: &std::io::Error) -> AppError {

@@ -81,6 +81,7 @@ pub(super) fn run(arguments: &DemoArguments) -> Result<(), AppError> {
         pixel_pitch_nm: Some(prepared.pixel_pitch_nm),
         provenance: vec![AnalysisNote::of(&RawAnalysis::default(), &prepared).file()?],
         pool_frames: None,
+        onlooker: None,
     };
     let period = Duration::from_secs_f64(world.scene().exposure_ms() / 1e3);
     let event = simulated::series(period, world.scene().frames(), RecordingFormat::OmeTiff);

@@ -114,6 +114,7 @@ fn record(out: &Path) -> (u64, u64) {
         pixel_pitch_nm: Some(prepared.pixel_pitch_nm),
         provenance: vec![AnalysisNote::of(&raw, &prepared).file().unwrap()],
         pool_frames: None,
+        onlooker: None,
     };
     let period = Duration::from_secs_f64(world.scene().exposure_ms() / 1e3);
     let mut event = series(period, EXPOSURES, RecordingFormat::OmeTiff);

@@ -4,20 +4,26 @@
 //! Never: decides when a run ends. Fails: [`DataPathError`] in the words of what failed.
 
 use super::analysis::{Prepared, TRACE_POINTS};
-use super::data_path::{AnalysisPart, DataPath, DataPathSettings, PathFailure, PreviewPart, RunReport};
-use super::preview_picture::{PreviewPicture, compose};
+use super::data_path::{
+    AnalysisPart, DataPath, DataPathSettings, LookPart, PathFailure, PreviewPart, RunReport,
+};
+use super::preview_picture::{PreviewPicture, compose, compose_and_look};
 use super::recorder::{Recorder, RecorderStatus};
-use crate::acquisition::{Conditions, FocusGauge, LeaveOut, Light, Patience, Progress, Surroundings};
+use super::window::board::{Onlooker, PathNumbers};
+use crate::acquisition::{
+    Conditions, FocusGauge, FramePair, LeaveOut, Light, Patience, Progress, Surroundings,
+};
 use crate::control::contracts::{self, ArmedCamera, DataPathError, Drain, PathProgress, StopRecord};
 use crate::control::plan::{AcquisitionEvent, RecordingFormat};
 use crate::control::run_state::FinishReason;
-use crate::reconstruction::QualitySettings;
+use crate::reconstruction::{CameraLook, QualitySettings};
 use crate::recording::{
     self, CameraDescription, Format, Recording, RecordingPlan, RecordingSummary, StopStatus,
 };
 use crate::sofi::cumulant::CumulantEngine;
 use sofiscope_hal::{CameraIdentity, CameraSettings, Channel, Nanometers};
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// A camera that is silent for longer than this and than five periods, while the other is not, has stalled.
@@ -49,6 +55,8 @@ pub(super) struct PathOptions {
     pub(super) provenance: Vec<(String, String)>,
     /// Frames of each camera that memory is taken for; the default follows from their size.
     pub(super) pool_frames: Option<usize>,
+    /// The window, if there is one.
+    pub(super) onlooker: Option<Onlooker>,
 }
 
 /// What one series left.
@@ -96,10 +104,18 @@ impl LivePath {
         let engine = engine.map_err(|error| DataPathError::Device(error.to_string()))?;
         let preview = self.options.preview_every.map(|every| {
             let painter = prepared.clone();
+            let board = self.options.onlooker.as_ref().map(|onlooker| Arc::clone(&onlooker.board));
             PreviewPart {
                 every,
                 fine_pixels: height * width * prepared.grid.order().pow(2),
-                compose: Box::new(move |snapshot| compose(&painter, snapshot)),
+                compose: Box::new(move |snapshot| match &board {
+                    None => compose(&painter, snapshot),
+                    Some(board) => {
+                        let (picture, look) = compose_and_look(&painter, snapshot);
+                        board.sofi.store(Some(Arc::new(look)));
+                        picture
+                    }
+                }),
             }
         });
         let trace_every = wanted.map_or(1, |exposures| exposures.div_ceil(TRACE_POINTS));
@@ -111,6 +127,17 @@ impl LivePath {
             ..QualitySettings::new(prepared.engine.clone(), height, width)
         };
         Ok(Some(AnalysisPart { engine, trace_every, quality: Some(quality), preview }))
+    }
+
+    fn look_part(&self, settings: &CameraSettings) -> Option<LookPart> {
+        let Onlooker { board, every, saturation_counts } = self.options.onlooker.clone()?;
+        let width = settings.region.width as usize;
+        let pitch_nm = self.options.pixel_pitch_nm.unwrap_or(1.0);
+        let look = move |pair: &FramePair| {
+            let look = CameraLook::of(pair, width, pitch_nm, saturation_counts);
+            board.cameras.store(Some(Arc::new(look)));
+        };
+        Some(LookPart { every, look: Box::new(look) })
     }
 
     /// Place and light as the plan has them, which the sequencer has set or ended the series; focus as it comes.
@@ -190,7 +217,8 @@ impl contracts::DataPath for LivePath {
             surroundings,
             pool_frames: self.options.pool_frames,
         };
-        let running = DataPath::start(&path, streams, analysis, recorder)
+        let look = self.look_part(&settings);
+        let running = DataPath::start(&path, streams, analysis, recorder, look)
             .map_err(|error| DataPathError::Device(error.to_string()))?;
         self.series = Some(Series {
             wanted: event.exposures,
@@ -209,6 +237,9 @@ impl contracts::DataPath for LivePath {
         let Some(series) = &mut self.series else { return PathProgress::default() };
         if let Some(running) = &mut series.running {
             series.last = running.progress();
+            if let Some(Onlooker { board, .. }) = &self.options.onlooker {
+                board.numbers.store(Arc::new(numbers(running, &series.last, &board.numbers.load())));
+            }
         }
         let (mut snr, mut resolution_nm) = (Vec::new(), None);
         if let Some(quality) = series.running.as_mut().and_then(DataPath::quality) {
@@ -275,6 +306,17 @@ impl contracts::DataPath for LivePath {
         self.results.push(SeriesResult { report, recording: series.closed });
         outcome
     }
+}
+
+/// The numbers of the moment; the quality stays the same one until a subsequence has closed.
+fn numbers(running: &mut DataPath<PreviewPicture>, progress: &Progress, before: &PathNumbers) -> PathNumbers {
+    let frames = running.frames();
+    let latency = running.latency();
+    let quality = running.quality().map(|quality| match &before.quality {
+        Some(known) if **known == *quality => Arc::clone(known),
+        _ => Arc::new(quality.clone()),
+    });
+    PathNumbers { progress: progress.clone(), frames, latency, quality }
 }
 
 fn failure_of(

@@ -34,6 +34,7 @@ mod simulated;
 mod summary;
 mod text_file;
 mod virtual_devices;
+mod window;
 
 pub use cli::{Arguments, run};
 pub use error::AppError;

@@ -151,6 +151,7 @@ pub(super) fn play(
         pixel_pitch_nm: Some(prepared.pixel_pitch_nm),
         provenance: Vec::new(),
         pool_frames: None,
+        onlooker: None,
     };
     let stations = Channel::BOTH.into_iter().zip(replay.cameras).map(|(channel, camera)| CameraStation {
         channel,

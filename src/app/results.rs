@@ -203,19 +203,22 @@ pub(super) fn species_names(analysis: &Analysis) -> Vec<String> {
 }
 
 fn channel_names(analysis: &Analysis) -> Vec<String> {
-    match analysis.prepared.source.inputs.len() {
-        1 => vec!["camera".to_owned()],
-        _ => vec!["R".to_owned(), "T".to_owned()],
+    channels_of(&analysis.prepared).0
+}
+
+/// Names of cameras and of spectral channels.
+pub(super) fn channels_of(prepared: &Prepared) -> (Vec<String>, Vec<String>) {
+    let n = prepared.grid.order();
+    if prepared.source.inputs.len() == 1 {
+        return (vec!["camera".to_owned()], vec![format!("order {n}")]);
     }
+    let cameras = ["R", "T"].map(str::to_owned).to_vec();
+    (cameras, (0..=n).map(|u| "T".repeat(u) + &"R".repeat(n - u)).collect())
 }
 
 /// `RR`, `TR`, `TT` and so on, in the order `u = 0..=n`; powers of one camera otherwise.
 pub(super) fn spectral_names(analysis: &Analysis) -> Vec<String> {
-    let n = analysis.prepared.grid.order();
-    if analysis.prepared.source.inputs.len() == 1 {
-        return vec![format!("order {n}")];
-    }
-    (0..=n).map(|u| "T".repeat(u) + &"R".repeat(n - u)).collect()
+    channels_of(&analysis.prepared).1
 }
 
 /// The composite of the last stage there is, and its pixel size in nanometers.

@@ -117,6 +117,7 @@ pub(super) fn run(arguments: &RunArguments) -> Result<(), AppError> {
         pixel_pitch_nm: Some(prepared.pixel_pitch_nm),
         provenance,
         pool_frames: None,
+        onlooker: None,
     };
     if plan.recording() == RecordingFormat::None {
         std::fs::create_dir(&out).map_err(|error| AppError::Usage(format!("{}: {error}", out.display())))?;
@@ -194,7 +195,10 @@ fn open_hardware(
     instrument: &Instrument,
     text: &str,
 ) -> Result<(Rig, analysis::Source, Patience), AppError> {
-    let hardware::Opened { rig, is_virtual, .. } = hardware::open(instrument, text)?;
+    let hardware::Opened { rig, is_virtual, warnings, .. } = hardware::open(instrument, text)?;
+    for warning in warnings {
+        eprintln!("{warning}");
+    }
     if is_virtual {
         eprintln!("all devices are VIRTUAL: no hardware is involved, and what the cameras show is simulated");
     }

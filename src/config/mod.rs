@@ -17,7 +17,7 @@ pub use analysis::{AnalysisFaults, AnalysisSettings, RawAnalysis};
 pub use dyes::{Catalogue, CatalogueError, Dichroic, DyeError, Fluorophore};
 pub use instrument::{
     CameraEntry, CameraKind, FocusEntry, GatesEntry, GatesKind, Hardware, Instrument, InstrumentFaults,
-    LaserEntry, LaserLink, Limits, PortEntry, Simulation, StageEntry, TriggerKind, VirtualEntry,
+    LaserEntry, LaserLink, Limits, PortEntry, Simulation, StageEntry, StageLink, TriggerKind, VirtualEntry,
 };
 pub(crate) use judge::Judge;
 pub(crate) use section::{Findings, Section};

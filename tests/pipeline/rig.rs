@@ -114,6 +114,7 @@ pub(crate) fn run(settings: InstrumentSettings, rates: Rates) -> Outcome {
         pairing: Pairing::new(settings, 2 * POOL),
         to_analysis: Some(to_analysis),
         to_recording: Some(to_recording),
+        to_look: None,
         leave_out: LeaveOut::default(),
         gauge: gauge.clone(),
         progress: latest(Progress::default()).0,

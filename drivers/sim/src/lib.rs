@@ -39,7 +39,9 @@ pub mod score;
 mod truth;
 mod world;
 
-pub use instrument::{Film, InstrumentSettings, Oracle, Scenario, SimulatedInstrument, Source};
+pub use instrument::{
+    Film, InstrumentSettings, Oracle, Scenario, SimulatedInstrument, SimulatedStage, Source,
+};
 pub use optics::psf_sigma_px;
 pub use scene::{
     CameraModel, Fault, Mirror, Optics, PatchGrid, Photophysics, Scene, SceneError, Shape, Species, View,

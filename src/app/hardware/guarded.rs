@@ -39,7 +39,7 @@ pub(in crate::app) fn run(_arguments: &GuardArguments) -> Result<(), AppError> {
 
 /// The guard in the hand of the sequencer: light and the clock of the cameras.
 #[derive(Clone)]
-pub(super) struct Guarded(Arc<Mutex<Held>>);
+pub(in crate::app) struct Guarded(Arc<Mutex<Held>>);
 
 struct Held {
     client: GuardClient,
@@ -112,7 +112,7 @@ impl Guarded {
     ///
     /// # Errors
     /// What the guard says.
-    pub(super) fn state(&self) -> Result<LightsState, DeviceError> {
+    pub(in crate::app) fn state(&self) -> Result<LightsState, DeviceError> {
         self.held().client.state()
     }
 

@@ -10,6 +10,8 @@ mod focus;
 mod guarded;
 mod lights;
 mod open;
+mod stage_thread;
 
-pub(super) use guarded::{GuardArguments, run as run_guard};
+pub(super) use guarded::{GuardArguments, Guarded, run as run_guard};
 pub(super) use open::{Opened, home, open, watch_lights};
+pub(super) use stage_thread::StageHandle;

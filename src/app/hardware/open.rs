@@ -12,8 +12,9 @@ use super::super::simulated::Rig;
 use super::cameras;
 use super::drive::AwaitedStage;
 use super::guarded::Guarded;
+use super::stage_thread::StageHandle;
 use crate::acquisition::FocusGauge;
-use crate::config::{Instrument, StageEntry, TriggerKind};
+use crate::config::{Instrument, StageEntry, StageLink, TriggerKind};
 use crate::control::contracts::{FocusHold, Illumination, NoLasers, StageDrive};
 use crate::control::sequencer::{CameraStation, Devices};
 
@@ -32,6 +33,12 @@ pub(in crate::app) struct Opened {
     pub(in crate::app) is_virtual: bool,
     /// Everything that answered, for people.
     pub(in crate::app) identities: Vec<String>,
+    /// The stage, for whoever moves it beside the sequencer.
+    pub(in crate::app) stage: Option<StageHandle>,
+    /// What lasers and gates say of themselves, if there are any.
+    pub(in crate::app) lights: Option<Guarded>,
+    /// What people must know.
+    pub(in crate::app) warnings: Vec<String>,
 }
 
 /// Opens the instrument; `text` is its file, which the laser guard reads for itself.
@@ -44,14 +51,15 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
         Some(_) => Some(Guarded::start(text)?),
         None => None,
     };
+    let mut warnings = Vec::new();
     if let Some((guard, state)) = &guard {
         tracing::info!(process = guard.process_id(), controller = %state.controller, "laser guard");
         if !state.has_watchdog {
-            eprintln!(
+            warnings.push(format!(
                 "the trigger controller ({}) has no watchdog: only the laser guard closes its gates, and nothing \
                  does when the guard itself is killed",
                 state.controller
-            );
+            ));
         }
     }
     let mut identities = Vec::new();
@@ -78,7 +86,7 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
             let stage = stage(entry)?;
             identities.push(stage.identity().to_string());
             stop_with_interrupts(stage.stopper());
-            Some(Box::new(AwaitedStage(Box::new(stage))) as Box<dyn StageDrive>)
+            Some(StageHandle::spawn(Box::new(stage))?)
         }
     };
     let [Some(r), Some(t)] = Channel::BOTH.map(|channel| instrument.camera(channel)) else {
@@ -92,6 +100,7 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
             entry.channel, identity.vendor, identity.model, identity.serial
         ));
     }
+    let lights = guard.clone();
     let lasers: Box<dyn Illumination> = match guard {
         Some(guard) => Box::new(guard),
         None => Box::new(NoLasers),
@@ -106,10 +115,12 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
             (Some(Box::new(focus) as Box<dyn FocusHold>), gauge)
         }
     };
-    let mut rig = rig(instrument, cameras, trigger, lasers, stage);
+    let drive = stage.clone().map(|stage| Box::new(stage) as Box<dyn StageDrive>);
+    let mut rig = rig(instrument, cameras, trigger, lasers, drive);
     rig.devices = rig.devices.with_focus(focus);
     rig.focus = focus_gauge;
-    Ok(Opened { rig, is_virtual: hardware.virtual_devices.is_some(), identities })
+    let is_virtual = hardware.virtual_devices.is_some();
+    Ok(Opened { rig, is_virtual, identities, stage, lights, warnings })
 }
 
 /// Lets the stage find its end switches; whoever asks for it has retracted the objective.
@@ -158,8 +169,13 @@ pub(in crate::app) fn watch_lights(
 }
 
 fn stage(entry: &StageEntry) -> Result<Tango, AppError> {
-    let line = Line::open(&entry.port.path, LINE_SETTINGS, "stage")?;
-    let serial = entry.port.serial.clone().ok_or_else(|| {
+    let StageLink::Tango(port) = &entry.link else {
+        return Err(AppError::usage(
+            "a simulated stage carries the sample of simulated cameras only; remove `[stage]`",
+        ));
+    };
+    let line = Line::open(&port.path, LINE_SETTINGS, "stage")?;
+    let serial = port.serial.clone().ok_or_else(|| {
         AppError::Usage(
             "the stage has no `serial` in the instrument file; write what `devices list` shows".to_owned(),
         )

@@ -27,7 +27,7 @@ use super::{log_path, read, table_path};
 use crate::app::AppError;
 use crate::app::priority;
 use crate::app::text_file::read_text;
-use crate::config::{GatesKind, Instrument, LaserEntry, LaserLink, VirtualEntry};
+use crate::config::{GatesKind, Instrument, LaserEntry, LaserLink, StageLink, VirtualEntry};
 
 /// Most power of the virtual laser heads, milliwatts.
 const HEAD_MW: f64 = 200.0;
@@ -84,7 +84,8 @@ impl Device<'_> {
         match self.name {
             "gates" => self.gates(table),
             "stage" => {
-                let port = hardware.stage.as_ref().map(|stage| &stage.port).ok_or_else(|| self.unknown())?;
+                let link = hardware.stage.as_ref().map(|stage| &stage.link);
+                let Some(StageLink::Tango(port)) = link else { return Err(self.unknown()) };
                 let serial = port.serial.clone().unwrap_or_default();
                 let settings = LineSettings::with_two_stop_bits(57_600);
                 self.behind_terminal(&port.path, settings, |_| TangoModel::new(serial, table))

@@ -73,11 +73,20 @@ pub struct LaserEntry {
     pub cap: Milliwatts,
 }
 
-/// The stage of the instrument: a TANGO controller.
+/// How a stage is reached.
+#[derive(Debug, Clone, PartialEq)]
+pub enum StageLink {
+    /// A Märzhäuser TANGO controller.
+    Tango(PortEntry),
+    /// The simulated stage, which carries the sample of the simulated cameras.
+    Simulated,
+}
+
+/// The stage of the instrument.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StageEntry {
-    /// Where it is.
-    pub port: PortEntry,
+    /// How it is reached.
+    pub link: StageLink,
     /// Where the stage may go.
     pub envelope: StageEnvelope,
 }
@@ -314,14 +323,17 @@ impl HardwareCheck<'_> {
 
     fn stage(&self, raw: &RawStage) -> Option<StageEntry> {
         let kind = self.judge.required("stage.kind", raw.kind.as_deref(), "\"maerzhaeuser-tango\"");
-        kind.and_then(|kind| self.judge.choice("stage.kind", kind, &[("maerzhaeuser-tango", ())]));
-        let port = self.port("stage", raw.port.as_deref(), raw.serial.as_ref());
+        let kinds = [("maerzhaeuser-tango", false), ("simulated", true)];
+        let link = match kind.and_then(|kind| self.judge.choice("stage.kind", kind, &kinds)) {
+            Some(true) => Some(StageLink::Simulated),
+            _ => self.port("stage", raw.port.as_deref(), raw.serial.as_ref()).map(StageLink::Tango),
+        };
         let x = self.interval("stage.x_um", raw.x_um, 120_000.0);
         let y = self.interval("stage.y_um", raw.y_um, 80_000.0);
         let envelope = |(least, greatest): (f64, f64)| {
             Some(Micrometers::new(least).ok()?..=Micrometers::new(greatest).ok()?)
         };
-        Some(StageEntry { port: port?, envelope: StageEnvelope { x: envelope(x?)?, y: envelope(y?)? } })
+        Some(StageEntry { link: link?, envelope: StageEnvelope { x: envelope(x?)?, y: envelope(y?)? } })
     }
 
     /// Travel limits have no default: they keep the objective whole.

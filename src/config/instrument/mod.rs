@@ -16,7 +16,8 @@ use sofiscope_hal::{Channel, Region};
 use super::Fault;
 
 pub use hardware::{
-    FocusEntry, GatesEntry, GatesKind, Hardware, LaserEntry, LaserLink, PortEntry, StageEntry, VirtualEntry,
+    FocusEntry, GatesEntry, GatesKind, Hardware, LaserEntry, LaserLink, PortEntry, StageEntry, StageLink,
+    VirtualEntry,
 };
 
 /// The version of the format that this program reads.

@@ -18,6 +18,7 @@ use super::oracle::Oracle;
 use super::schedule::{Schedule, Timing};
 use super::settings::CameraBehavior;
 use super::source::{Source, Viewfinder};
+use super::stage::SamplePlace;
 use super::stream::{Parts, SimulatedStream};
 
 /// Readout of one row of an ORCA-Flash4.0: two rows at once in 9.744 us.
@@ -39,6 +40,7 @@ pub(super) struct Body {
     pub(super) timing: Arc<Timing>,
     pub(super) oracle: Oracle,
     pub(super) dead: Arc<AtomicBool>,
+    pub(super) place: SamplePlace,
 }
 
 /// A simulated camera.
@@ -160,7 +162,7 @@ impl Camera for SimulatedCamera {
             behavior: body.behavior.clone(),
             timing: body.timing.clone(),
             schedule: schedule.clone(),
-            view: Viewfinder::new(body.source.clone(), body.channel, settings.region),
+            view: Viewfinder::new(body.source.clone(), body.channel, settings.region, body.place.clone()),
             record: body.oracle.begin(body.channel),
             source_end: body.source.end(),
             limit: body.limit,

@@ -1,4 +1,4 @@
-//! Two simulated cameras that look at one world, and their trigger.
+//! Two simulated cameras that look at one world, their trigger, and the stage that carries the sample.
 //!
 //! ```text
 //! Source (World or Film) ──────────────► pixels ─┐
@@ -40,13 +40,14 @@ mod scenario;
 mod schedule;
 mod settings;
 mod source;
+mod stage;
 mod stream;
 mod trigger;
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use sofiscope_hal::Channel;
+use sofiscope_hal::{Channel, StageEnvelope};
 
 use camera::Body;
 pub use camera::SimulatedCamera;
@@ -58,6 +59,8 @@ pub use settings::{
     Bursts, CameraBehavior, CameraFaults, ClockStep, Counter, DeviceClock, InstrumentSettings, Pace,
 };
 pub use source::Source;
+use stage::SamplePlace;
+pub use stage::{SimulatedStage, StageClock};
 pub use trigger::SimulatedTrigger;
 
 /// The simulated microscope: two cameras, their trigger, and the judge of it all.
@@ -66,12 +69,20 @@ pub struct SimulatedInstrument {
     bodies: [Body; 2],
     timing: Arc<Timing>,
     oracle: Oracle,
+    place: SamplePlace,
 }
 
 impl SimulatedInstrument {
     /// Puts both cameras in front of a source.
     #[must_use]
     pub fn new(source: impl Into<Source>, settings: InstrumentSettings) -> Self {
+        Self::timed(source, settings, StageClock::default())
+    }
+
+    /// The same with a stage that moves by this clock.
+    #[must_use]
+    pub fn timed(source: impl Into<Source>, settings: InstrumentSettings, clock: StageClock) -> Self {
+        let place = SamplePlace::with_clock(clock);
         let source = source.into();
         let oracle = Oracle::default();
         let InstrumentSettings { pace, seed, exposures, cameras, clock } = settings;
@@ -86,9 +97,10 @@ impl SimulatedInstrument {
             timing: timing.clone(),
             oracle: oracle.clone(),
             dead: Arc::new(AtomicBool::new(false)),
+            place: place.clone(),
         };
         let bodies = [body(Channel::Reflected, reflected), body(Channel::Transmitted, transmitted)];
-        Self { bodies, timing, oracle }
+        Self { bodies, timing, oracle, place }
     }
 
     /// Camera R and camera T, as if just opened; open them once.
@@ -101,6 +113,12 @@ impl SimulatedInstrument {
     #[must_use]
     pub fn trigger(&self) -> SimulatedTrigger {
         SimulatedTrigger::new(self.timing.clone())
+    }
+
+    /// The stage that carries the sample, in the middle of where it may go, and not homed yet.
+    #[must_use]
+    pub fn stage(&self, envelope: StageEnvelope) -> SimulatedStage {
+        SimulatedStage::new(self.place.clone(), envelope)
     }
 
     /// The judge; stays readable after everything else is gone.

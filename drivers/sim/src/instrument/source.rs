@@ -1,13 +1,14 @@
 //! Where the pixels come from.
 //!
 //! In: channel, region and exposure. Out: counts of the region, row by row, in the caller's memory.
-//! Never: allocates after it was made. Fails: never; exposures beyond the end are not asked for.
+//! Never: allocates after it was made, but for the first frame of a sample that has moved. Fails: never; exposures beyond the end are not asked for.
 
 use std::sync::Arc;
 
 use sofiscope_hal::{Channel, ExposureIndex, Region};
 
 use super::Film;
+use super::stage::SamplePlace;
 use crate::World;
 
 /// What the cameras look at.
@@ -15,6 +16,8 @@ use crate::World;
 pub enum Source {
     /// A sample, rendered frame by frame; ends after the frames of its scene.
     World(Arc<World>),
+    /// The same without end: after the frames of its scene the sample is there anew, with all its dyes.
+    Again(Arc<World>),
     /// Frames in memory, shown over and over without end.
     Film(Arc<Film>),
 }
@@ -35,7 +38,7 @@ impl Source {
     /// Rows and columns of the sensor.
     pub(super) fn size(&self) -> [usize; 2] {
         match self {
-            Self::World(world) => [world.scene().height_px(), world.scene().width_px()],
+            Self::World(world) | Self::Again(world) => [world.scene().height_px(), world.scene().width_px()],
             Self::Film(film) => [film.height(), film.width()],
         }
     }
@@ -44,14 +47,16 @@ impl Source {
     pub(super) fn end(&self) -> u64 {
         match self {
             Self::World(world) => world.scene().frames(),
-            Self::Film(_) => u64::MAX,
+            Self::Again(_) | Self::Film(_) => u64::MAX,
         }
     }
 
     /// The most counts a pixel of one camera can give.
     pub(super) fn saturation_counts(&self, channel: Channel) -> u16 {
         match self {
-            Self::World(world) => world.scene().cameras()[channel.index()].saturation_counts,
+            Self::World(world) | Self::Again(world) => {
+                world.scene().cameras()[channel.index()].saturation_counts
+            }
             Self::Film(_) => u16::MAX,
         }
     }
@@ -63,19 +68,20 @@ pub(super) struct Viewfinder {
     source: Source,
     channel: Channel,
     region: Region,
+    place: SamplePlace,
     photons: Vec<f32>,
     /// The whole sensor, where only a part of it is wanted.
     sensor: Vec<u16>,
 }
 
 impl Viewfinder {
-    pub(super) fn new(source: Source, channel: Channel, region: Region) -> Self {
+    pub(super) fn new(source: Source, channel: Channel, region: Region, place: SamplePlace) -> Self {
         let [height, width] = source.size();
-        let rendered = matches!(source, Source::World(_));
+        let rendered = !matches!(source, Source::Film(_));
         let cut = region.num_pixels() != height * width;
         let photons = vec![0.0; if rendered { height * width } else { 0 }];
         let sensor = vec![0; if rendered && cut { height * width } else { 0 }];
-        Self { source, channel, region, photons, sensor }
+        Self { source, channel, region, place, photons, sensor }
     }
 
     /// Pixels of one frame.
@@ -85,15 +91,31 @@ impl Viewfinder {
 
     /// Writes what the camera sees in one exposure.
     pub(super) fn expose(&mut self, exposure: ExposureIndex, counts: &mut [u16]) {
-        let width = self.source.size()[1];
+        let [height, width] = self.source.size();
         match &self.source {
             Source::Film(film) => cut(film.frame(self.channel, exposure), width, self.region, counts),
-            Source::World(world) => {
+            Source::World(world) | Source::Again(world) => {
+                let frames = world.scene().frames();
+                let exposure = match &self.source {
+                    Source::Again(_) => ExposureIndex(exposure.0 % frames.max(1)),
+                    _ => exposure,
+                };
+                let (columns, rows) = self.place.shift_px(world.scene().optics().pixel_pitch_nm);
+                let is_moved = (columns, rows) != (0, 0);
+                if is_moved && self.sensor.is_empty() {
+                    self.sensor = vec![0; height * width];
+                }
                 let whole = self.sensor.is_empty();
                 let sensor = if whole { &mut *counts } else { &mut self.sensor[..] };
                 world
                     .frame_through(self.channel, exposure, &mut self.photons, sensor)
                     .expect("memory has the size of the sensor and no one asks beyond the end");
+                if is_moved {
+                    let turn = |by: i64, length: usize| by.rem_euclid(length.max(1) as i64) as usize;
+                    self.sensor.rotate_left(turn(rows, height) * width);
+                    let columns = turn(columns, width);
+                    self.sensor.chunks_exact_mut(width).for_each(|row| row.rotate_left(columns));
+                }
                 if !whole {
                     cut(&self.sensor, width, self.region, counts);
                 }
@@ -123,7 +145,8 @@ mod tests {
     fn a_region_is_cut_out_of_the_sensor() {
         let film = Film::noise(9, 12, 2, 3);
         let region = Region { left: 4, top: 2, width: 3, height: 5 };
-        let mut view = Viewfinder::new(Source::from(film.clone()), Channel::Transmitted, region);
+        let mut view =
+            Viewfinder::new(Source::from(film.clone()), Channel::Transmitted, region, SamplePlace::default());
         let mut counts = vec![0; view.num_pixels()];
         view.expose(ExposureIndex(3), &mut counts);
         let sensor = film.frame(Channel::Transmitted, ExposureIndex(1));

@@ -1,0 +1,3 @@
+//! `live`: the window, and the session with the instrument behind it.
+
+pub(super) mod board;
