@@ -3,9 +3,10 @@
 use super::AppError;
 use super::analysis::{self, Analysis, Prepared};
 use super::analysis_note::AnalysisNote;
+use super::instrument::species_of;
 use super::live_path::PathOptions;
 use super::results::{Scores, species_names};
-use super::run::{free_name, species_of};
+use super::run::free_name;
 use super::score::{Images, Score, Stage, StageImages, score_images, text};
 use super::session::{Ended, acquire, analysis_of, write, write_preview};
 use super::simulated;
@@ -75,9 +76,9 @@ pub(super) fn run(arguments: &DemoArguments) -> Result<(), AppError> {
         preview_every: Some(Duration::from_millis(250)),
         patience: simulated::patience_of(pace),
         leave_out: LeaveOut::default(),
-        focus: rig.focus,
+        focus: rig.facts.focus,
         recording: Some(out.clone()),
-        identities: rig.identities,
+        identities: rig.facts.identities,
         pixel_pitch_nm: Some(prepared.pixel_pitch_nm),
         provenance: vec![AnalysisNote::of(&RawAnalysis::default(), &prepared).file()?],
         pool_frames: None,

@@ -3,9 +3,9 @@
 
 use super::analysis::{self, Prepared};
 use super::analysis_note::AnalysisNote;
+use super::instrument::species_of;
 use super::live_path::PathOptions;
 use super::replay::{ReplayRequest, compare, play};
-use super::run::species_of;
 use super::session::{acquire, analysis_of, write};
 use super::simulated::series;
 use crate::acquisition::{Analysis, FocusGauge, LeaveOut, LedgerRow, Light, Loss, PairState, Patience};

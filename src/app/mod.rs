@@ -18,6 +18,7 @@ mod error;
 #[cfg(test)]
 mod focus_gate_tests;
 mod hardware;
+mod instrument;
 mod keeping;
 mod live_path;
 mod preview_picture;

@@ -20,11 +20,11 @@ use serde::Serialize;
 use sofiscope_hal::{HostTime, StopMotion};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 /// Commands that may wait for the sequencer.
-const COMMANDS: usize = 16;
+pub(super) const COMMANDS: usize = 16;
 
 impl Clock for HostClock {
     fn now(&self) -> HostTime {
@@ -68,8 +68,6 @@ pub(super) fn acquire(
 ) -> Result<Acquired, AppError> {
     let (sender, commands) = crossbeam_channel::bounded(COMMANDS);
     let _listening = listen_for_interrupts(sender)?;
-    let mut path = LivePath::new(options);
-    let clock = HostClock::start();
     let (mut shown, mut bar) = (0, None);
     let total = events.iter().filter_map(|event| event.exposures).sum();
     let mut observer = |status: &Status<'_>| {
@@ -78,13 +76,30 @@ pub(super) fn acquire(
         bar.advance(frames.saturating_sub(shown));
         shown = shown.max(frames);
     };
+    let (acquired, _) = carry_out(devices, options, events, commands, &mut observer);
+    if let Some(bar) = bar {
+        bar.finish();
+    }
+    Ok(acquired)
+}
+
+/// Carries out the steps with commands from anywhere; gives the devices back.
+pub(super) fn carry_out(
+    devices: Devices,
+    options: PathOptions,
+    events: Vec<AcquisitionEvent>,
+    commands: crossbeam_channel::Receiver<Command>,
+    observer: &mut dyn FnMut(&Status<'_>),
+) -> (Acquired, Devices) {
+    let mut path = LivePath::new(options);
+    let clock = HostClock::start();
     let mut records = Vec::new();
     let mut sequencer = Sequencer {
         devices,
         path: &mut path,
         commands,
         clock: &clock,
-        observer: &mut observer,
+        observer,
         begin: Begin::AtOnce,
         patience: Patience::default(),
     };
@@ -96,11 +111,8 @@ pub(super) fn acquire(
             break;
         }
     }
-    drop(sequencer);
-    if let Some(bar) = bar {
-        bar.finish();
-    }
-    Ok(Acquired { records, results: path.results })
+    let Sequencer { devices, .. } = sequencer;
+    (Acquired { records, results: path.results }, devices)
 }
 
 /// The place to which Ctrl-C is told; one for the whole program, as there is one keyboard.
@@ -125,10 +137,10 @@ fn listen_for_interrupts(sender: crossbeam_channel::Sender<Command>) -> Result<L
 }
 
 /// What stops motion past every queue; the stage of the open instrument, if it has one.
-static STOPPERS: Mutex<Vec<Box<dyn StopMotion>>> = Mutex::new(Vec::new());
+static STOPPERS: Mutex<Vec<Arc<dyn StopMotion>>> = Mutex::new(Vec::new());
 
 /// From now on Ctrl-C stops this too, before anything else.
-pub(super) fn stop_with_interrupts(stopper: Box<dyn StopMotion>) {
+pub(super) fn stop_with_interrupts(stopper: Arc<dyn StopMotion>) {
     STOPPERS.lock().unwrap_or_else(PoisonError::into_inner).push(stopper);
 }
 

@@ -1,8 +1,9 @@
 //! The simulated instrument as a rig for the sequencer; chosen by name in the configuration, never as a fallback.
 
+use super::hardware::StageHandle;
 use crate::acquisition::{FocusGauge, Patience};
 use crate::config::TriggerKind;
-use crate::control::contracts::Illumination;
+use crate::control::contracts::{Illumination, StageDrive};
 use crate::control::plan::{
     AcquisitionEvent, CameraWish, Duties, FocusWish, OnRecordDrop, Readback, RecordingFormat,
 };
@@ -17,6 +18,12 @@ use std::time::Duration;
 /// Devices and who they are.
 pub(super) struct Rig {
     pub(super) devices: Devices,
+    pub(super) facts: RigFacts,
+}
+
+/// What does not change while devices are open.
+#[derive(Debug, Clone)]
+pub(super) struct RigFacts {
     pub(super) identities: [CameraIdentity; 2],
     /// Columns and rows of the sensors.
     pub(super) sensors: [(u32, u32); 2],
@@ -44,7 +51,15 @@ impl Illumination for SimulatedLasers {
 
 /// Both simulated cameras and their trigger in front of a source.
 pub(super) fn rig(source: Source, settings: InstrumentSettings, trigger: TriggerKind) -> Rig {
-    let instrument = SimulatedInstrument::new(source, settings);
+    rig_of(&SimulatedInstrument::new(source, settings), trigger, None)
+}
+
+/// The devices of a simulated microscope, with its stage.
+pub(super) fn rig_of(
+    instrument: &SimulatedInstrument,
+    trigger: TriggerKind,
+    stage: Option<&StageHandle>,
+) -> Rig {
     let cameras = instrument.cameras();
     let identities = cameras.each_ref().map(|camera| camera.identity().clone());
     let capabilities = cameras.each_ref().map(|camera| camera.capabilities().clone());
@@ -58,15 +73,20 @@ pub(super) fn rig(source: Source, settings: InstrumentSettings, trigger: Trigger
         // Only simulated cameras are in front of a simulated source, and only its own pulses reach them.
         TriggerKind::FreeRunning | TriggerKind::Gates | TriggerKind::TeensyPulse => None,
     };
-    let devices = Devices::new(stations.collect(), trigger, Box::new(SimulatedLasers), None);
-    Rig {
-        devices,
+    let devices = Devices::new(
+        stations.collect(),
+        trigger,
+        Box::new(SimulatedLasers),
+        stage.map(|stage| Box::new(stage.clone()) as Box<dyn StageDrive>),
+    );
+    let facts = RigFacts {
         identities,
         sensors: capabilities.each_ref().map(|camera| (camera.sensor_width, camera.sensor_height)),
         shortest_periods: capabilities.each_ref().map(|camera| camera.shortest_period),
         saturation_counts: capabilities.each_ref().map(|camera| camera.saturation_counts),
         focus: FocusGauge::default(),
-    }
+    };
+    Rig { devices, facts }
 }
 
 /// Cameras without a clock wait; those with one do not.

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use super::super::AppError;
 use super::super::session::stop_with_interrupts;
-use super::super::simulated::Rig;
+use super::super::simulated::{Rig, RigFacts};
 use super::cameras;
 use super::drive::AwaitedStage;
 use super::guarded::Guarded;
@@ -85,8 +85,9 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
         Some(entry) => {
             let stage = stage(entry)?;
             identities.push(stage.identity().to_string());
-            stop_with_interrupts(stage.stopper());
-            Some(StageHandle::spawn(Box::new(stage))?)
+            let handle = StageHandle::spawn(Box::new(stage))?;
+            stop_with_interrupts(handle.stopper());
+            Some(handle)
         }
     };
     let [Some(r), Some(t)] = Channel::BOTH.map(|channel| instrument.camera(channel)) else {
@@ -118,7 +119,7 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
     let drive = stage.clone().map(|stage| Box::new(stage) as Box<dyn StageDrive>);
     let mut rig = rig(instrument, cameras, trigger, lasers, drive);
     rig.devices = rig.devices.with_focus(focus);
-    rig.focus = focus_gauge;
+    rig.facts.focus = focus_gauge;
     let is_virtual = hardware.virtual_devices.is_some();
     Ok(Opened { rig, is_virtual, identities, stage, lights, warnings })
 }
@@ -208,12 +209,12 @@ fn rig(
         let region = instrument.camera(channel).and_then(|entry| entry.region).unwrap_or(whole);
         CameraStation { channel, camera, region }
     });
-    Rig {
-        devices: Devices::new(stations.collect(), trigger, lasers, stage),
+    let facts = RigFacts {
         identities,
         sensors: capabilities.each_ref().map(|camera| (camera.sensor_width, camera.sensor_height)),
         shortest_periods: capabilities.each_ref().map(|camera| camera.shortest_period),
         saturation_counts: capabilities.each_ref().map(|camera| camera.saturation_counts),
         focus: FocusGauge::default(),
-    }
+    };
+    Rig { devices: Devices::new(stations.collect(), trigger, lasers, stage), facts }
 }
