@@ -16,11 +16,12 @@ use crate::control::preflight::{AnalysisFacts, CameraFacts, DiskFacts, Facts, Me
 use crate::control::sequencer::Devices;
 use crate::files::free_bytes;
 use crate::sofi::spectra::{Species, SpectralResponse};
-use sofiscope_hal::{CameraIdentity, Channel, Stage, TriggerMode};
+use sofiscope_hal::{CameraIdentity, Channel, Region, Stage, TriggerMode};
 use sofiscope_sim::instrument::Pace;
 use sofiscope_sim::{Film, InstrumentSettings, Scenario, Scene, SimulatedInstrument, Source, World};
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Longest plan, instrument or scene file that is read.
 pub(super) const MOST_BYTES: u64 = 1 << 20;
@@ -72,6 +73,12 @@ impl Label {
 /// An instrument whose devices are open.
 pub(super) struct OpenInstrument {
     pub(super) devices: Devices,
+    pub(super) about: About,
+}
+
+/// Everything about an open instrument but its devices.
+#[derive(Clone)]
+pub(super) struct About {
     pub(super) facts: RigFacts,
     pub(super) patience: Patience,
     pub(super) label: Label,
@@ -87,7 +94,7 @@ pub(super) struct OpenInstrument {
     scene: Option<(String, [usize; 2])>,
     species: Option<Vec<Species>>,
     pixel_pitch_nm: f64,
-    regions: [Option<sofiscope_hal::Region>; 2],
+    regions: [Option<Region>; 2],
 }
 
 impl OpenInstrument {
@@ -104,10 +111,27 @@ impl OpenInstrument {
         let is_simulated = instrument.cameras().iter().any(|camera| camera.kind == CameraKind::Simulated);
         if is_simulated { simulated(instrument, path, sample) } else { real(instrument, text) }
     }
+}
+
+impl About {
+    /// Names of the dyes that a simulated sample has.
+    pub(super) fn species_names(&self) -> Vec<String> {
+        self.species.iter().flatten().map(|species| species.name.clone()).collect()
+    }
 
     /// What the cameras give for a plan, as the analysis sees it.
     pub(super) fn source(&self, plan: &Plan) -> analysis::Source {
-        let region = plan.region(Channel::Reflected).or(self.regions[0]);
+        self.source_of(plan.region(Channel::Reflected), plan.cameras().period, plan.exposures_per_series())
+    }
+
+    /// The same for a region, a period and a number of exposures.
+    pub(super) fn source_of(
+        &self,
+        region: Option<Region>,
+        period: Duration,
+        exposures: Option<u64>,
+    ) -> analysis::Source {
+        let region = region.or(self.regions[0]);
         let whole = match &self.scene {
             Some((_, [height, width])) => (*width, *height),
             None => (self.facts.sensors[0].0 as usize, self.facts.sensors[0].1 as usize),
@@ -127,9 +151,9 @@ impl OpenInstrument {
             inputs: vec![input("camera R", 0), input("camera T", 1)],
             height,
             width,
-            frames: plan.exposures_per_series().unwrap_or(NO_CERTAIN_END),
+            frames: exposures.unwrap_or(NO_CERTAIN_END),
             pixel_pitch_nm: Some(self.pixel_pitch_nm),
-            exposure_ms: Some(plan.cameras().period.as_secs_f64() * 1e3),
+            exposure_ms: Some(period.as_secs_f64() * 1e3),
             simulated: self.label != Label::Real,
             species: self.species.clone(),
         }
@@ -152,7 +176,7 @@ impl OpenInstrument {
         let camera = |channel: Channel| CameraFacts {
             channel,
             simulated: self.facts.identities[channel.index()].simulated,
-            region: plan.region(channel).unwrap_or(sofiscope_hal::Region { left: 0, top: 0, width, height }),
+            region: plan.region(channel).unwrap_or(Region { left: 0, top: 0, width, height }),
             sensor: self.facts.sensors[channel.index()],
             exposure: plan.cameras().exposure,
             period,
@@ -202,8 +226,7 @@ impl OpenInstrument {
 fn real(instrument: &Instrument, text: &str) -> Result<OpenInstrument, AppError> {
     let hardware::Opened { rig, is_virtual, identities, stage, lights, warnings } =
         hardware::open(instrument, text)?;
-    Ok(OpenInstrument {
-        devices: rig.devices,
+    let about = About {
         facts: rig.facts,
         patience: Patience::Live,
         label: if is_virtual { Label::Virtual } else { Label::Real },
@@ -215,7 +238,8 @@ fn real(instrument: &Instrument, text: &str) -> Result<OpenInstrument, AppError>
         species: None,
         pixel_pitch_nm: instrument.pixel_pitch_nm(),
         regions: Channel::BOTH.map(|channel| instrument.camera(channel).and_then(|camera| camera.region)),
-    })
+    };
+    Ok(OpenInstrument { devices: rig.devices, about })
 }
 
 fn simulated(instrument: &Instrument, path: &Path, lasts: Sample) -> Result<OpenInstrument, AppError> {
@@ -251,9 +275,8 @@ fn simulated(instrument: &Instrument, path: &Path, lasts: Sample) -> Result<Open
         .identities
         .iter()
         .map(|camera| format!("{} {}, S/N {} (simulated)", camera.vendor, camera.model, camera.serial));
-    Ok(OpenInstrument {
+    let about = About {
         identities: identities.chain(stage.iter().map(|stage| stage.identity().to_string())).collect(),
-        devices,
         facts,
         patience: simulated::patience_of(pace),
         label: Label::Simulated,
@@ -264,7 +287,8 @@ fn simulated(instrument: &Instrument, path: &Path, lasts: Sample) -> Result<Open
         scene: Some((scene.name().to_owned(), [scene.height_px(), scene.width_px()])),
         pixel_pitch_nm: instrument.pixel_pitch_nm(),
         regions: Channel::BOTH.map(|channel| instrument.camera(channel).and_then(|camera| camera.region)),
-    })
+    };
+    Ok(OpenInstrument { devices, about })
 }
 
 /// The stage of a simulated microscope; it was homed before anybody came.

@@ -11,7 +11,7 @@ use super::simulated;
 use crate::acquisition::{FocusGauge, LeaveOut, Loss, Patience};
 use crate::config::{AnalysisSettings, RawAnalysis};
 use crate::control::contracts::NoLasers;
-use crate::control::plan::RecordingFormat;
+use crate::control::plan::{AcquisitionEvent, RecordingFormat};
 use crate::control::sequencer::{CameraStation, Devices};
 use crate::files::ImageStack;
 use crate::replay::{Replay, ReplayOptions, ReplaySpeed, open};
@@ -124,21 +124,33 @@ pub(super) fn run(arguments: &ReplayArguments) -> Result<(), AppError> {
     }
 }
 
-/// Plays files through the pipeline and writes the results into a directory that must not exist.
-pub(super) fn play(
-    request: ReplayRequest<'_>,
-    out: &Path,
-) -> Result<(Ended, PathBuf, super::results::Summary), AppError> {
+/// Files that are ready to be played.
+pub(super) struct Playable {
+    pub(super) devices: Devices,
+    pub(super) options: PathOptions,
+    pub(super) event: AcquisitionEvent,
+    pub(super) prepared: Prepared,
+    /// Whether the frames were simulated.
+    pub(super) simulated: bool,
+    /// What is played, for people.
+    pub(super) description: String,
+}
+
+/// Opens files as cameras.
+///
+/// # Errors
+/// [`AppError`]: files that cannot be read, settings that do not fit.
+pub(super) fn playable(request: ReplayRequest<'_>) -> Result<Playable, AppError> {
     let ReplayRequest { paths, options, settings, as_live } = request;
     let (speed, start) = (options.speed, options.start);
     let replay = open(paths, options).map_err(AppError::data)?;
-    eprintln!("replay: {}", replay.info.description);
     let prepared = prepare(&replay, settings, start)?;
     let mut left_out = replay.info.left_out_from(start);
     // What the live analysis had no time for can be analyzed now; what is out of focus stays out.
     left_out.retain(|_, reason| as_live || *reason == Loss::OutOfFocus);
     let leave_out = LeaveOut { exposures: left_out, focus_gate_nm: None };
     let (exposures, simulated) = (replay.info.exposures.saturating_sub(start), replay.info.simulated);
+    let description = replay.info.description.clone();
     let recorded = replay.cameras.each_ref().map(crate::replay::ReplayCamera::recorded_settings);
     let options = PathOptions {
         analysis: Some(prepared.clone()),
@@ -162,6 +174,16 @@ pub(super) fn play(
     let mut event = simulated::series(recorded[0].period, exposures, RecordingFormat::None);
     event.cameras.exposure = recorded[0].exposure;
     event.cameras.trigger = Some(sofiscope_hal::TriggerMode::FreeRunning);
+    Ok(Playable { devices, options, event, prepared, simulated, description })
+}
+
+/// Plays files through the pipeline and writes the results into a directory that must not exist.
+pub(super) fn play(
+    request: ReplayRequest<'_>,
+    out: &Path,
+) -> Result<(Ended, PathBuf, super::results::Summary), AppError> {
+    let Playable { devices, options, event, prepared, simulated, description } = playable(request)?;
+    eprintln!("replay: {description}");
     let mut acquired = acquire(devices, options, vec![event])?;
     if let Some(failure) = acquired.failure() {
         return Err(failure);

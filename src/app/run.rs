@@ -76,7 +76,7 @@ pub(super) fn run(arguments: &RunArguments) -> Result<(), AppError> {
     let setup = set_up(arguments)?;
     let prepared = prepare(&setup)?;
     let rate = disk_rate(&out, DISK_TRIAL_BYTES).ok();
-    let facts = setup.opened.facts(&setup.plan, &setup.source, &prepared, &out, rate)?;
+    let facts = setup.opened.about.facts(&setup.plan, &setup.source, &prepared, &out, rate)?;
     let checks = preflight(&facts);
     for check in &checks {
         eprintln!("{check}");
@@ -88,11 +88,14 @@ pub(super) fn run(arguments: &RunArguments) -> Result<(), AppError> {
         return Err(AppError::usage("the run cannot begin; see the failed checks above"));
     }
     let Setup { plan, texts, opened, .. } = setup;
-    let OpenInstrument { devices, facts, patience, .. } = opened;
+    let OpenInstrument { devices, about } = opened;
     let mut provenance = texts;
     provenance.push(AnalysisNote::of(plan.analysis(), &prepared).file()?);
-    let options =
-        PathOptions { recording: Some(out.clone()), provenance, ..path_options(&prepared, &facts, patience) };
+    let options = PathOptions {
+        recording: Some(out.clone()),
+        provenance,
+        ..path_options(&prepared, &about.facts, about.patience)
+    };
     if plan.recording() == RecordingFormat::None {
         std::fs::create_dir(&out).map_err(|error| AppError::Usage(format!("{}: {error}", out.display())))?;
     }
@@ -190,10 +193,12 @@ fn set_up(arguments: &RunArguments) -> Result<Setup, AppError> {
     }
     let frames = plan.exposures_per_series();
     let opened = OpenInstrument::open(&instrument, &instrument_text, &instrument_path, Sample::Once(frames))?;
-    for notice in opened.label.notice().into_iter().chain(opened.warnings.iter().map(String::as_str)) {
+    for notice in
+        opened.about.label.notice().into_iter().chain(opened.about.warnings.iter().map(String::as_str))
+    {
         eprintln!("{notice}");
     }
-    let source = opened.source(&plan);
+    let source = opened.about.source(&plan);
     let texts = vec![("plan.yaml".to_owned(), plan_text), ("instrument.toml".to_owned(), instrument_text)];
     Ok(Setup { plan, texts, opened, source })
 }

@@ -117,7 +117,7 @@ pub trait DataPath {
 }
 
 /// The lasers of the instrument.
-pub trait Illumination {
+pub trait Illumination: Send {
     /// Turns these lines on, milliwatts by nanometers, and all others off.
     ///
     /// # Errors
@@ -164,7 +164,7 @@ impl Illumination for NoLasers {
 }
 
 /// The stage with the sample.
-pub trait StageDrive {
+pub trait StageDrive: Send {
     /// Moves to a position and waits until it is reached.
     ///
     /// # Errors
@@ -173,7 +173,7 @@ pub trait StageDrive {
 }
 
 /// The focus lock.
-pub trait FocusHold {
+pub trait FocusHold: Send {
     /// Locks, and waits until it holds.
     ///
     /// # Errors

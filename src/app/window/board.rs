@@ -20,6 +20,15 @@ pub(in crate::app) struct Board {
     pub(in crate::app) numbers: ArcSwap<PathNumbers>,
 }
 
+impl Board {
+    /// Nothing of an earlier series is left.
+    pub(super) fn clear(&self) {
+        self.cameras.store(None);
+        self.sofi.store(None);
+        self.numbers.store(Arc::default());
+    }
+}
+
 /// Numbers of the series under way, as the data path knows them.
 #[derive(Debug, Clone, Default)]
 pub(in crate::app) struct PathNumbers {
