@@ -5,14 +5,16 @@ use clap::{Parser, Subcommand};
 
 /// Live multicolor super-resolution imaging (SOFI) with two cameras.
 #[derive(Debug, Parser)]
-#[command(version, arg_required_else_help = true)]
+#[command(version, after_help = "Without a command the window opens.")]
 pub struct Arguments {
     #[command(subcommand)]
-    command: Command,
+    command: Option<Command>,
 }
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Open the window: cameras, running image, instrument, plans, replay
+    Live(super::window::LiveArguments),
     /// Turn two stacks of frames, or one, into the unmixed super-resolved image
     Analyze(Box<super::analyze::AnalyzeArguments>),
     /// Play the simulated microscope through the whole analysis and score it against the truth
@@ -48,7 +50,9 @@ enum Command {
 /// # Errors
 /// [`AppError`] with the message and exit code of whatever ended the command early.
 pub fn run(arguments: Arguments) -> Result<u8, AppError> {
-    let done = match arguments.command {
+    let command = arguments.command.unwrap_or_else(|| Command::Live(super::window::LiveArguments::default()));
+    let done = match command {
+        Command::Live(arguments) => super::window::run(&arguments),
         Command::Analyze(arguments) => super::analyze::run(&arguments),
         Command::Demo(arguments) => super::demo::run(&arguments),
         Command::Run(arguments) => super::run::run(&arguments),

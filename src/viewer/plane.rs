@@ -131,9 +131,12 @@ impl Layer {
 #[must_use]
 pub fn layers(pictures: &Pictures, view: &View) -> Vec<Layer> {
     match view.subject {
-        Subject::Camera(camera) => {
-            cameras(pictures, view).into_iter().skip(camera).take(1).map(|layer| painted(layer, view)).collect()
-        }
+        Subject::Camera(camera) => cameras(pictures, view)
+            .into_iter()
+            .skip(camera)
+            .take(1)
+            .map(|layer| painted(layer, view))
+            .collect(),
         Subject::Overlay => {
             let colors = default_colors(2);
             cameras(pictures, view)
@@ -163,7 +166,11 @@ fn composite(pictures: &Pictures, stage: SofiStage) -> Vec<Layer> {
     let stage = if sofi.stage(stage).next().is_some() { Some(stage) } else { sofi.last_stage() };
     let images: Vec<_> = stage.into_iter().flat_map(|stage| sofi.stage(stage)).collect();
     let colors = default_colors(images.len());
-    images.iter().zip(colors).map(|(image, color)| Layer { paint: Paint::Color(color), ..of_stage(image) }).collect()
+    images
+        .iter()
+        .zip(colors)
+        .map(|(image, color)| Layer { paint: Paint::Color(color), ..of_stage(image) })
+        .collect()
 }
 
 fn of_stage(image: &StageImage) -> Layer {

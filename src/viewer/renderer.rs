@@ -266,7 +266,8 @@ mod tests {
     #[test]
     fn colors_add_up_beside_the_mean_and_saturation_is_of_raw_counts() {
         let bright = || Array2::from_elem((2, 4), 20.0);
-        let layers = vec![layer(bright(), Paint::Color([0, 255, 0])), layer(bright(), Paint::Color([255, 0, 255]))];
+        let layers =
+            vec![layer(bright(), Paint::Color([0, 255, 0])), layer(bright(), Paint::Color([255, 0, 255]))];
         let mut both = request(layers, [0.0, 0.0, 4.0, 2.0], [4, 2]);
         both.split = Some((0.5, vec![layer(Array2::from_elem((2, 4), f32::NAN), Paint::Color([255; 3]))]));
         let rendered = render(&both);

@@ -49,6 +49,11 @@ impl LocalBench {
         let _ = self.shared.to_sequencer.try_send(Command::Stop);
     }
 
+    /// Tells the person something.
+    pub(super) fn warn(&self, text: &str) {
+        self.shared.tell(Gravity::Warning, text);
+    }
+
     /// A handle on the same instrument.
     pub(super) fn another(&self) -> Self {
         Self { shared: Arc::clone(&self.shared), asked: self.asked.clone() }

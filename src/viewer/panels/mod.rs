@@ -1,0 +1,106 @@
+//! The panels around the images, one file each.
+//!
+//! In: the status, what the person has typed. Out: commands into [`Wishes`]. Never: keeps a number of the instrument.
+//! Fails: not at all.
+
+mod below;
+mod bottom;
+mod instrument;
+mod live;
+mod plan;
+mod replay;
+mod start;
+mod top;
+
+pub(super) use below::{below, profile};
+pub(super) use bottom::bottom;
+pub(super) use instrument::{StageForm, instrument};
+pub(super) use live::{LiveForm, live};
+pub(super) use plan::{PlanForm, plan};
+pub(super) use replay::{ReplayForm, replay};
+pub(super) use start::start;
+pub(super) use top::top;
+
+use super::bench::{BenchCommand, Gravity};
+use egui::{Color32, RichText, Ui};
+use std::time::Duration;
+
+/// What the person asks for in this look at the window.
+#[derive(Debug, Default)]
+pub(super) struct Wishes {
+    pub(super) commands: Vec<BenchCommand>,
+    pub(super) stop: bool,
+    /// A text to copy into the plan's editor, or to judge.
+    pub(super) judge_plan: bool,
+    pub(super) save: bool,
+    pub(super) reset_layout: bool,
+    pub(super) shortcuts: bool,
+}
+
+impl Wishes {
+    pub(super) fn ask(&mut self, command: BenchCommand) {
+        self.commands.push(command);
+    }
+}
+
+/// A heading of a part of a panel.
+fn heading(ui: &mut Ui, text: &str) {
+    ui.add_space(8.0);
+    ui.label(RichText::new(text).strong().size(14.5));
+    ui.separator();
+}
+
+/// Blue, orange and vermilion are told apart by all eyes.
+pub(super) fn color_of(gravity: Gravity) -> Color32 {
+    match gravity {
+        Gravity::Note => Color32::from_rgb(120, 170, 220),
+        Gravity::Warning => Color32::from_rgb(230, 159, 0),
+        Gravity::Error => Color32::from_rgb(235, 105, 60),
+    }
+}
+
+/// A duration for people.
+fn in_words(time: Duration) -> String {
+    let seconds = time.as_secs();
+    match seconds {
+        0..60 => format!("{:.1} s", time.as_secs_f64()),
+        60..3600 => format!("{} min {:02} s", seconds / 60, seconds % 60),
+        _ => format!("{} h {:02} min", seconds / 3600, seconds / 60 % 60),
+    }
+}
+
+/// Bytes for people.
+fn in_bytes(bytes: u64) -> String {
+    let mut value = bytes as f64;
+    for unit in ["B", "kB", "MB", "GB"] {
+        if value < 1000.0 {
+            return format!("{value:.3} {unit}").replace(".000", "");
+        }
+        value /= 1000.0;
+    }
+    format!("{value:.2} TB")
+}
+
+/// The first free directory of a name in the present one.
+pub(super) fn suggested(name: &str) -> String {
+    let numbered = |number: u32| if number == 1 { name.to_owned() } else { format!("{name}-{number}") };
+    (1..10_000)
+        .map(numbered)
+        .find(|path| !std::path::Path::new(path).exists())
+        .unwrap_or_else(|| name.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_and_bytes_are_short() {
+        assert_eq!(in_words(Duration::from_millis(1500)), "1.5 s");
+        assert_eq!(in_words(Duration::from_secs(125)), "2 min 05 s");
+        assert_eq!(in_words(Duration::from_secs(7260)), "2 h 01 min");
+        assert_eq!(in_bytes(999), "999 B");
+        assert_eq!(in_bytes(1_500_000), "1.500 MB");
+        assert_eq!(in_bytes(2_500_000_000_000), "2.50 TB");
+    }
+}

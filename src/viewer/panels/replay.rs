@@ -1,0 +1,75 @@
+//! Replay: which recording, how fast, from where.
+
+use super::{Wishes, heading};
+use crate::viewer::bench::{Activity, BenchCommand, BenchStatus};
+use egui::{Button, DragValue, ScrollArea, TextEdit, Ui};
+
+/// What is typed for a replay.
+#[derive(Debug, Clone)]
+pub(in crate::viewer) struct ReplayForm {
+    path: String,
+    speed: f64,
+    from: u64,
+}
+
+impl Default for ReplayForm {
+    fn default() -> Self {
+        Self { path: String::new(), speed: 1.0, from: 0 }
+    }
+}
+
+/// Draws the panel.
+pub(in crate::viewer) fn replay(
+    ui: &mut Ui,
+    status: &BenchStatus,
+    form: &mut ReplayForm,
+    wishes: &mut Wishes,
+) {
+    heading(ui, "Replay");
+    ui.horizontal(|ui| {
+        let label = ui.label("Recording");
+        ui.add(TextEdit::singleline(&mut form.path).desired_width(210.0))
+            .labelled_by(label.id)
+            .on_hover_text("A recording's directory; it plays through the very pipeline of the cameras");
+    });
+    ui.horizontal(|ui| {
+        ui.label("Speed");
+        for (speed, name) in [(1.0, "1x"), (2.0, "2x"), (5.0, "5x"), (f64::INFINITY, "max")] {
+            ui.selectable_value(&mut form.speed, speed, name);
+        }
+    });
+    ui.horizontal(|ui| {
+        let label = ui.label("From exposure");
+        ui.add(DragValue::new(&mut form.from).speed(10.0)).labelled_by(label.id);
+    });
+    let command =
+        || BenchCommand::Replay { recording: form.path.trim().into(), speed: form.speed, from: form.from };
+    let is_free =
+        !matches!(status.activity, Activity::Run | Activity::Paused | Activity::Ending | Activity::Opening);
+    ui.horizontal(|ui| {
+        let is_playing = status.activity == Activity::Replay;
+        let text = if is_playing { "Play again with these" } else { "Play" };
+        if ui.add_enabled(is_free && !form.path.trim().is_empty(), Button::new(text)).clicked() {
+            wishes.ask(command());
+        }
+        if ui.add_enabled(is_playing, Button::new("End replay")).clicked() {
+            wishes.ask(BenchCommand::Finish);
+        }
+    });
+    heading(ui, "Recent");
+    if status.recent.is_empty() {
+        ui.label("Recordings and saved images appear here.");
+    }
+    let mut chosen = None;
+    ScrollArea::vertical().id_salt("recent").max_height(300.0).show(ui, |ui| {
+        for path in status.recent.iter() {
+            let text = path.display().to_string();
+            if ui.selectable_label(form.path == text, &text).clicked() {
+                chosen = Some(text);
+            }
+        }
+    });
+    if let Some(path) = chosen {
+        form.path = path;
+    }
+}

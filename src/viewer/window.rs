@@ -1,0 +1,504 @@
+//! The window itself: panes, panels, keys.
+//!
+//! In: a [`Bench`]. Out: what is drawn. Never: waits, owns state that matters. Fails: not at all.
+
+use super::bench::{Activity, Bench, BenchCommand, BenchStatus, Gravity, Pictures};
+use super::canvas::{Canvas, Done};
+use super::panels::{self, LiveForm, PlanForm, ReplayForm, StageForm, Wishes};
+use super::plane::layers;
+use super::settings::{Below, Side, WindowSettings};
+use super::view::{History, Subject, View};
+use crate::display::{Colormap, Contrast, Limits};
+use crate::reconstruction::{SofiLook, SofiStage};
+use egui::{CentralPanel, ComboBox, DragValue, Key, Modifiers, Panel, RichText, ScrollArea, Ui};
+use std::time::{Duration, Instant};
+
+/// Longest time between two Escapes that are a STOP.
+const TWICE: f64 = 1.0;
+/// Time between two looks while something goes on, and while nothing does.
+const LOOKS: [Duration; 2] = [Duration::from_millis(33), Duration::from_millis(250)];
+
+/// Keys and what they do, as the list shows them.
+pub const SHORTCUTS: [(&str, &str); 15] = [
+    ("Ctrl+.  or Esc Esc", "STOP: lasers off, motion stopped, run aborted"),
+    ("L", "Live"),
+    ("F", "Finish in good order"),
+    ("S", "Save images"),
+    ("1 ... 5", "Show mean, cumulants, unmixed, flattened, linearized"),
+    ("R, T, O", "Show camera R, camera T, both on each other"),
+    ("C", "Cameras beside the result on and off"),
+    ("M", "Compare with the mean image"),
+    ("A", "Contrast by percentiles again"),
+    ("Scroll, drag", "Zoom at the pointer, move the image"),
+    ("Double click", "Whole image"),
+    ("Shift+drag", "Line profile"),
+    ("Ctrl+drag in a camera", "Region of the cameras"),
+    ("Right click", "Bring this place to the middle with the stage"),
+    ("Ctrl+Z, Ctrl+Y", "Undo and redo view and contrast"),
+];
+
+/// The window.
+pub struct Window {
+    bench: Box<dyn Bench>,
+    settings: WindowSettings,
+    history: History,
+    result: Canvas,
+    cameras: [Canvas; 2],
+    live: LiveForm,
+    plan: PlanForm,
+    replay: ReplayForm,
+    stage: StageForm,
+    line_um: Option<[[f64; 2]; 2]>,
+    escaped: Option<f64>,
+    shows_shortcuts: bool,
+    /// What was refused, and when.
+    refused: Option<(String, Instant)>,
+    /// How long the last look took to draw.
+    took: Duration,
+}
+
+impl Window {
+    /// A window on an instrument.
+    #[must_use]
+    pub fn new(bench: Box<dyn Bench>, settings: WindowSettings) -> Self {
+        Self {
+            bench,
+            settings,
+            history: History::default(),
+            result: Canvas::new("result"),
+            cameras: [Canvas::new("camera R image"), Canvas::new("camera T image")],
+            live: LiveForm::default(),
+            plan: PlanForm::default(),
+            replay: ReplayForm::default(),
+            stage: StageForm::default(),
+            line_um: None,
+            escaped: None,
+            shows_shortcuts: false,
+            refused: None,
+            took: Duration::ZERO,
+        }
+    }
+
+    /// What is to be stored for the next time.
+    #[must_use]
+    pub fn settings(&self) -> &WindowSettings {
+        &self.settings
+    }
+
+    /// How it is looked at.
+    #[must_use]
+    pub fn view(&self) -> View {
+        self.history.view()
+    }
+
+    /// How long the window's thread took for the last look.
+    #[must_use]
+    pub fn took(&self) -> Duration {
+        self.took
+    }
+
+    /// Whether result and cameras have pictures.
+    #[must_use]
+    pub fn has_pictures(&self) -> (bool, bool) {
+        (self.result.has_picture(), self.cameras.iter().all(Canvas::has_picture))
+    }
+
+    /// Draws everything once.
+    pub fn ui(&mut self, ui: &mut Ui) {
+        let begun = Instant::now();
+        let (status, pictures) = (self.bench.status(), self.bench.pictures());
+        self.appear(ui);
+        let mut wishes = Wishes::default();
+        self.keys(ui, &status, &mut wishes);
+        Panel::top("top").show(ui, |ui| {
+            let can = self.history.can();
+            let (undo, redo) = panels::top(ui, &status, &mut self.settings, can, &mut wishes);
+            if undo {
+                self.history.undo();
+            }
+            if redo {
+                self.history.redo();
+            }
+            self.tell_trouble(ui, &status);
+        });
+        let mut done = Done::default();
+        let reading_of = self.result_reading();
+        Panel::bottom("bottom").show(ui, |ui| panels::bottom(ui, &status, reading_of.as_deref()));
+        let is_showing =
+            status.instrument.is_some() || pictures.cameras.is_some() || status.activity == Activity::Replay;
+        if is_showing {
+            self.side(ui, &status, &mut wishes);
+            self.below(ui, &status, &pictures);
+            CentralPanel::default().show(ui, |ui| done = self.images(ui, &status, &pictures));
+        } else {
+            CentralPanel::default()
+                .show(ui, |ui| panels::start(ui, &status, &mut self.settings, &mut wishes));
+        }
+        self.take_up(done, &status, &pictures);
+        self.obey(wishes, &status);
+        self.list_shortcuts(ui);
+        let goes_on = !matches!(status.activity, Activity::Closed | Activity::Idle);
+        ui.ctx().request_repaint_after(LOOKS[usize::from(!goes_on)]);
+        self.took = begun.elapsed();
+    }
+
+    fn result_reading(&self) -> Option<String> {
+        self.refused
+            .as_ref()
+            .filter(|(_, at)| at.elapsed() < Duration::from_secs(5))
+            .map(|(text, _)| text.clone())
+    }
+
+    fn appear(&self, ui: &Ui) {
+        let theme = if self.settings.is_dark { egui::Theme::Dark } else { egui::Theme::Light };
+        if ui.ctx().theme() != theme {
+            ui.ctx().set_theme(theme);
+        }
+        if (ui.ctx().zoom_factor() - self.settings.scale).abs() > 1e-3 {
+            ui.ctx().set_zoom_factor(self.settings.scale);
+        }
+    }
+
+    /// The newest failure, as long as it is new, in words that say what to do.
+    fn tell_trouble(&self, ui: &mut Ui, status: &BenchStatus) {
+        let newest = status.events.iter().rev().take(3).find(|event| event.gravity == Gravity::Error);
+        if let Some(event) = newest {
+            let text = RichText::new(format!("{}  {}", event.time, event.text));
+            ui.label(text.color(panels::color_of(Gravity::Error)));
+        }
+    }
+
+    fn keys(&mut self, ui: &Ui, status: &BenchStatus, wishes: &mut Wishes) {
+        let context = ui.ctx().clone();
+        let (now, escape, dot) = context.input_mut(|input| {
+            let dot = input.consume_key(Modifiers::COMMAND, Key::Period);
+            (input.time, input.key_pressed(Key::Escape), dot)
+        });
+        if escape {
+            wishes.stop |= self.escaped.is_some_and(|before| now - before < TWICE);
+            self.escaped = if wishes.stop { None } else { Some(now) };
+        }
+        wishes.stop |= dot;
+        if context.egui_wants_keyboard_input() {
+            return;
+        }
+        let pressed =
+            |modifiers: Modifiers, key: Key| context.input_mut(|input| input.consume_key(modifiers, key));
+        let plain = |key: Key| pressed(Modifiers::NONE, key);
+        if pressed(Modifiers::COMMAND, Key::Z) {
+            self.history.undo();
+        }
+        if pressed(Modifiers::COMMAND, Key::Y) {
+            self.history.redo();
+        }
+        if plain(Key::F1) || plain(Key::Questionmark) {
+            self.shows_shortcuts = !self.shows_shortcuts;
+        }
+        if plain(Key::L) && status.instrument.is_some() {
+            wishes.ask(BenchCommand::Live(self.live.settings.clone()));
+        }
+        if plain(Key::F) {
+            wishes.ask(BenchCommand::Finish);
+        }
+        wishes.save |= plain(Key::S);
+        if plain(Key::C) {
+            self.settings.shows_cameras = !self.settings.shows_cameras;
+        }
+        let view = self.history.view();
+        let mut next = view;
+        for (key, stage) in
+            [Key::Num1, Key::Num2, Key::Num3, Key::Num4, Key::Num5].into_iter().zip(SofiStage::ALL)
+        {
+            if plain(key) {
+                next.subject = Subject::Composite(stage);
+            }
+        }
+        for (key, subject) in
+            [(Key::R, Subject::Camera(0)), (Key::T, Subject::Camera(1)), (Key::O, Subject::Overlay)]
+        {
+            if plain(key) {
+                next.subject = subject;
+            }
+        }
+        if plain(Key::M) {
+            next.split = if view.split.is_some() { None } else { Some(0.5) };
+        }
+        if plain(Key::A) {
+            next.contrasts[view.contrast_index()] = View::default().contrasts[view.contrast_index()];
+        }
+        self.history.set(next, false);
+    }
+
+    fn side(&mut self, ui: &mut Ui, status: &BenchStatus, wishes: &mut Wishes) {
+        Panel::right("side").default_size(310.0).min_size(280.0).show(ui, |ui| {
+            ui.add_space(4.0);
+            ui.horizontal(|ui| {
+                for (side, name) in Side::ALL {
+                    ui.selectable_value(&mut self.settings.side, side, RichText::new(name).size(14.5));
+                }
+            });
+            ui.separator();
+            ScrollArea::vertical().id_salt("side").auto_shrink([false, false]).show(ui, |ui| {
+                let Some(card) = status.instrument.as_deref() else {
+                    return panels::replay(ui, status, &mut self.replay, wishes);
+                };
+                match self.settings.side {
+                    Side::Live => panels::live(ui, status, card, &mut self.live, wishes),
+                    Side::Plan => panels::plan(ui, status, card, &mut self.plan, wishes),
+                    Side::Devices => {
+                        let settings = &mut self.live.settings;
+                        panels::instrument(ui, status, card, &mut self.stage, settings, wishes);
+                    }
+                    Side::Replay => panels::replay(ui, status, &mut self.replay, wishes),
+                }
+            });
+        });
+    }
+
+    fn below(&mut self, ui: &mut Ui, status: &BenchStatus, pictures: &Pictures) {
+        let view = self.history.view();
+        let lines = match (self.line_um, self.settings.below) {
+            (Some(line), Below::Profile) => panels::profile(&layers(pictures, &view), line),
+            _ => Vec::new(),
+        };
+        Panel::bottom("below").resizable(true).default_size(210.0).min_size(110.0).show(ui, |ui| {
+            ui.horizontal(|ui| {
+                for (below, name) in Below::ALL {
+                    ui.selectable_value(&mut self.settings.below, below, name);
+                }
+            });
+            let limits: Vec<Limits> =
+                self.cameras.iter().flat_map(|camera| camera.limits().first().copied()).collect();
+            panels::below(ui, self.settings.below, status, pictures, &limits, &lines);
+        });
+    }
+
+    fn images(&mut self, ui: &mut Ui, status: &BenchStatus, pictures: &Pictures) -> Done {
+        let mut view = self.history.view();
+        self.choose(ui, pictures, &mut view);
+        let waiting = waiting(status);
+        let mut done = Done::default();
+        let share = if self.settings.shows_cameras { 0.30 } else { 0.0 };
+        let area = ui.available_rect_before_wrap();
+        if share > 0.0 {
+            let width = (area.width() * share).min(area.height() * 0.5);
+            Panel::left("cameras").exact_size(width).resizable(false).show(ui, |ui| {
+                let height = (ui.available_height() - 8.0) * 0.5;
+                for (index, canvas) in self.cameras.iter_mut().enumerate() {
+                    let own = View { subject: Subject::Camera(index), split: None, ..view };
+                    ui.allocate_ui(egui::Vec2::new(ui.available_width(), height), |ui| {
+                        let one = canvas.ui(ui, pictures, &own, waiting);
+                        merge(&mut done, one);
+                    });
+                }
+            });
+        }
+        CentralPanel::no_frame().show(ui, |ui| {
+            let one = self.result.ui(ui, pictures, &view, waiting);
+            merge(&mut done, one);
+        });
+        self.history.set(
+            view,
+            view.split != self.history.view().split
+                && view.split.is_some()
+                && self.history.view().split.is_some(),
+        );
+        done
+    }
+
+    /// The row above the images: what is shown, in which colors, with which contrast.
+    fn choose(&mut self, ui: &mut Ui, pictures: &Pictures, view: &mut View) {
+        ui.horizontal_wrapped(|ui| {
+            ComboBox::from_label("Image")
+                .selected_text(name_of(view.subject, pictures.sofi.as_deref()))
+                .show_ui(ui, |ui| {
+                    for subject in subjects(pictures.sofi.as_deref()) {
+                        let name = name_of(subject, pictures.sofi.as_deref());
+                        ui.selectable_value(&mut view.subject, subject, name);
+                    }
+                });
+            ComboBox::from_label("Colors").selected_text(view.colormap.name()).show_ui(ui, |ui| {
+                for map in Colormap::ALL {
+                    ui.selectable_value(&mut view.colormap, map, map.name());
+                }
+            });
+            contrast(ui, view, self.result.limits());
+            let mut is_split = view.split.is_some();
+            if ui
+                .checkbox(&mut is_split, "Beside the mean")
+                .on_hover_text("Mean image left of the divider (M)")
+                .changed()
+            {
+                view.split = is_split.then_some(0.5);
+            }
+            ui.checkbox(&mut view.marks_saturation, "Mark saturation")
+                .on_hover_text("Saturated pixels in red, judged on raw counts");
+            if ui.button("Whole image").on_hover_text("Double click in the image").clicked() {
+                view.zoom = None;
+            }
+            if let Some(sofi) = &pictures.sofi {
+                ui.label(RichText::new(&sofi.label).small());
+                if let Some(trouble) = &sofi.trouble {
+                    ui.label(RichText::new(trouble).color(panels::color_of(Gravity::Warning)));
+                }
+            }
+        });
+    }
+
+    /// What the person did in the panes.
+    fn take_up(&mut self, done: Done, status: &BenchStatus, pictures: &Pictures) {
+        let view = self.history.view();
+        if let Some((zoom, is_going_on)) = done.zoom {
+            self.history.set(View { zoom, ..view }, is_going_on);
+        }
+        if let Some(split) = done.split {
+            self.history.set(View { split: Some(split), ..self.history.view() }, true);
+        }
+        if let Some(line) = done.line_um {
+            self.line_um = Some(line);
+            self.settings.below = Below::Profile;
+        }
+        let pitch_um = pictures.cameras.as_ref().map(|look| look.pixel_pitch_nm / 1e3);
+        if let (Some(rectangle), Some(pitch_um)) = (done.rectangle_um, pitch_um) {
+            let [left, top, width, height] = rectangle.map(|um| (um / pitch_um).max(0.0).round() as u32);
+            let offset = self.live.settings.region.unwrap_or_default();
+            if width > 3 && height > 3 && status.activity != Activity::Run {
+                self.live.settings.region = Some([offset[0] + left, offset[1] + top, width, height]);
+            }
+        }
+        if let (Some(center), Some(stage), Some(look), Some(pitch_um)) =
+            (done.center_um, status.stage, &pictures.cameras, pitch_um)
+        {
+            let middle = [look.width, look.height].map(|pixels| 0.5 * pixels as f64 * pitch_um);
+            let command = BenchCommand::MoveStage {
+                x_um: stage.x_um + center[0] - middle[0],
+                y_um: stage.y_um + center[1] - middle[1],
+            };
+            self.ask(command);
+        }
+        if let Some(reading) = done.reading {
+            self.refused = Some((reading, Instant::now()));
+        } else if self.refused.as_ref().is_some_and(|(text, _)| text.starts_with("x ")) {
+            self.refused = None;
+        }
+    }
+
+    fn obey(&mut self, wishes: Wishes, status: &BenchStatus) {
+        if wishes.stop {
+            self.bench.stop();
+        }
+        for command in wishes.commands {
+            self.ask(command);
+        }
+        if wishes.judge_plan {
+            let judgment = self.bench.judge_plan(&self.plan.text);
+            self.plan.judged = Some((self.plan.text.clone(), judgment));
+        }
+        if wishes.save && status.instrument.is_some() {
+            self.ask(BenchCommand::SaveResults(panels::suggested("sofiscope-images").into()));
+        }
+        if wishes.reset_layout {
+            let is_dark = self.settings.is_dark;
+            self.settings = WindowSettings { is_dark, ..WindowSettings::default() };
+        }
+        self.shows_shortcuts |= wishes.shortcuts;
+    }
+
+    fn ask(&mut self, command: BenchCommand) {
+        if let Err(refused) = self.bench.ask(command) {
+            self.refused = Some((refused.to_string(), Instant::now()));
+        }
+    }
+
+    fn list_shortcuts(&mut self, ui: &Ui) {
+        let mut is_open = self.shows_shortcuts;
+        egui::Window::new("Keyboard shortcuts").open(&mut is_open).resizable(false).show(ui.ctx(), |ui| {
+            egui::Grid::new("shortcuts").striped(true).show(ui, |ui| {
+                for (keys, what) in SHORTCUTS {
+                    ui.label(RichText::new(keys).monospace());
+                    ui.label(what);
+                    ui.end_row();
+                }
+            });
+        });
+        self.shows_shortcuts = is_open;
+    }
+}
+
+fn merge(done: &mut Done, one: Done) {
+    done.zoom = done.zoom.or(one.zoom);
+    done.split = done.split.or(one.split);
+    done.line_um = done.line_um.or(one.line_um);
+    done.rectangle_um = done.rectangle_um.or(one.rectangle_um);
+    done.center_um = done.center_um.or(one.center_um);
+    done.reading = done.reading.take().or(one.reading);
+}
+
+fn waiting(status: &BenchStatus) -> &'static str {
+    match status.activity {
+        Activity::Live | Activity::Run | Activity::Replay | Activity::Paused => {
+            "waiting for the first frames ..."
+        }
+        Activity::Ending => "finishing ...",
+        _ => "press Live (L) to see the sample",
+    }
+}
+
+/// Everything that can be shown, in the order of the light path.
+fn subjects(sofi: Option<&SofiLook>) -> Vec<Subject> {
+    let mut all = vec![Subject::Camera(0), Subject::Camera(1), Subject::Overlay];
+    for stage in SofiStage::ALL {
+        let images = sofi.map_or(0, |sofi| sofi.stage(stage).count());
+        if images > 0 {
+            all.push(Subject::Composite(stage));
+            all.extend((0..images).map(|index| Subject::One(stage, index)));
+        }
+    }
+    all
+}
+
+fn name_of(subject: Subject, sofi: Option<&SofiLook>) -> String {
+    match subject {
+        Subject::Camera(0) => "camera R".to_owned(),
+        Subject::Camera(_) => "camera T".to_owned(),
+        Subject::Overlay => "both cameras".to_owned(),
+        Subject::Composite(stage) => format!("{}, all", stage.name()),
+        Subject::One(stage, index) => {
+            let image = sofi.and_then(|sofi| sofi.stage(stage).nth(index));
+            let name = image.map_or_else(|| (index + 1).to_string(), |image| image.name.clone());
+            format!("{}, {name}", stage.name())
+        }
+    }
+}
+
+fn contrast(ui: &mut Ui, view: &mut View, limits: &[Limits]) {
+    let index = view.contrast_index();
+    let now = limits.first().copied().unwrap_or(Limits { low: 0.0, high: 1.0 });
+    let mut is_manual = matches!(view.contrasts[index], Contrast::Manual(_));
+    if ui
+        .checkbox(&mut is_manual, "Manual contrast")
+        .on_hover_text("Black and white by value; percentiles again with A")
+        .changed()
+    {
+        view.contrasts[index] =
+            if is_manual { Contrast::Manual(now) } else { View::default().contrasts[index] };
+    }
+    let named = |ui: &mut Ui, name: &str, value: DragValue<'_>| {
+        let label = ui.label(name);
+        ui.add(value).labelled_by(label.id);
+    };
+    match &mut view.contrasts[index] {
+        Contrast::Manual(limits) => {
+            let speed = ((limits.high - limits.low).abs() / 200.0).max(1e-6);
+            named(ui, "black", DragValue::new(&mut limits.low).speed(speed));
+            named(ui, "white", DragValue::new(&mut limits.high).speed(speed));
+        }
+        Contrast::Percentile { low, high } => {
+            named(ui, "black", DragValue::new(low).range(0.0..=50.0).speed(0.1).suffix(" %"));
+            named(ui, "white", DragValue::new(high).range(50.0..=100.0).speed(0.02).suffix(" %"));
+        }
+        Contrast::FromZero { high } => {
+            named(ui, "white", DragValue::new(high).range(50.0..=100.0).speed(0.02).suffix(" %"));
+        }
+    }
+}
