@@ -5,7 +5,7 @@
 
 use super::bench::Pictures;
 use super::view::{Subject, View};
-use crate::display::{Colormap, Contrast, Limits, Rgb, default_colors, percentile};
+use crate::display::{Colormap, Contrast, Limits, Rgb, default_colors};
 use crate::reconstruction::{SofiStage, StageImage};
 use ndarray::Array2;
 use std::sync::Arc;
@@ -67,20 +67,11 @@ impl Pixels {
         let step = (rows * columns).div_ceil(SAMPLES).max(1);
         // A step that shares a factor with the width would see some columns only.
         let step = (step..).find(|step| columns % step != 0 || *step == 1).unwrap_or(1);
-        let mut values: Vec<f32> = (0..rows * columns)
+        let values: Vec<f32> = (0..rows * columns)
             .step_by(step)
             .map(|place| self.value(place / columns, place % columns))
             .collect();
-        match contrast {
-            Contrast::Manual(limits) => limits,
-            Contrast::FromZero { high } => {
-                Limits { low: 0.0, high: percentile(&mut values, high).unwrap_or(1.0) }
-            }
-            Contrast::Percentile { low, high } => Limits {
-                low: percentile(&mut values, low).unwrap_or(0.0),
-                high: percentile(&mut values, high).unwrap_or(1.0),
-            },
-        }
+        contrast.limits(&values)
     }
 }
 

@@ -123,7 +123,7 @@ impl Window {
         });
         let mut done = Done::default();
         let reading_of = self.result_reading();
-        Panel::bottom("bottom").show(ui, |ui| panels::bottom(ui, &status, reading_of.as_deref()));
+        Panel::bottom("bottom").show(ui, |ui| panels::bottom(ui, &status, &pictures, reading_of.as_deref()));
         let is_showing =
             status.instrument.is_some() || pictures.cameras.is_some() || status.activity == Activity::Replay;
         if is_showing {
@@ -261,7 +261,7 @@ impl Window {
             (Some(line), Below::Profile) => panels::profile(&layers(pictures, &view), line),
             _ => Vec::new(),
         };
-        Panel::bottom("below").resizable(true).default_size(210.0).min_size(110.0).show(ui, |ui| {
+        Panel::bottom("below").resizable(true).default_size(220.0).min_size(120.0).show(ui, |ui| {
             ui.horizontal(|ui| {
                 for (below, name) in Below::ALL {
                     ui.selectable_value(&mut self.settings.below, below, name);
@@ -270,6 +270,7 @@ impl Window {
             let limits: Vec<Limits> =
                 self.cameras.iter().flat_map(|camera| camera.limits().first().copied()).collect();
             panels::below(ui, self.settings.below, status, pictures, &limits, &lines);
+            ui.take_available_height();
         });
     }
 
@@ -309,19 +310,23 @@ impl Window {
     /// The row above the images: what is shown, in which colors, with which contrast.
     fn choose(&mut self, ui: &mut Ui, pictures: &Pictures, view: &mut View) {
         ui.horizontal_wrapped(|ui| {
-            ComboBox::from_label("Image")
-                .selected_text(name_of(view.subject, pictures.sofi.as_deref()))
-                .show_ui(ui, |ui| {
-                    for subject in subjects(pictures.sofi.as_deref()) {
-                        let name = name_of(subject, pictures.sofi.as_deref());
-                        ui.selectable_value(&mut view.subject, subject, name);
-                    }
-                });
-            ComboBox::from_label("Colors").selected_text(view.colormap.name()).show_ui(ui, |ui| {
+            let sofi = pictures.sofi.as_deref();
+            let label = ui.label("Image");
+            let images = ComboBox::from_id_salt("image").selected_text(name_of(view.subject, sofi));
+            let images = images.show_ui(ui, |ui| {
+                for subject in subjects(sofi) {
+                    ui.selectable_value(&mut view.subject, subject, name_of(subject, sofi));
+                }
+            });
+            images.response.labelled_by(label.id);
+            let label = ui.label("Colors");
+            let colors = ComboBox::from_id_salt("colors").selected_text(view.colormap.name());
+            let colors = colors.show_ui(ui, |ui| {
                 for map in Colormap::ALL {
                     ui.selectable_value(&mut view.colormap, map, map.name());
                 }
             });
+            colors.response.labelled_by(label.id);
             contrast(ui, view, self.result.limits());
             let mut is_split = view.split.is_some();
             if ui
@@ -336,11 +341,8 @@ impl Window {
             if ui.button("Whole image").on_hover_text("Double click in the image").clicked() {
                 view.zoom = None;
             }
-            if let Some(sofi) = &pictures.sofi {
-                ui.label(RichText::new(&sofi.label).small());
-                if let Some(trouble) = &sofi.trouble {
-                    ui.label(RichText::new(trouble).color(panels::color_of(Gravity::Warning)));
-                }
+            if let Some(trouble) = pictures.sofi.as_ref().and_then(|sofi| sofi.trouble.as_ref()) {
+                ui.label(RichText::new(trouble).color(panels::color_of(Gravity::Warning)));
             }
         });
     }

@@ -78,7 +78,8 @@ impl LocalBench {
         let target = StagePosition { x_um: Some(x_um), y_um: Some(y_um), ..StagePosition::default() };
         let shared = Arc::clone(&self.shared);
         let watch = move || match stage.begin(target).map(|answer| answer.recv()) {
-            Ok(Ok(Ok(()))) | Ok(Err(_)) => {}
+            Ok(Ok(Ok(()))) => shared.tell(Gravity::Note, format!("the stage is at {x_um:.2}, {y_um:.2} µm")),
+            Ok(Err(_)) => {}
             Ok(Ok(Err(error))) | Err(error) => shared.tell(Gravity::Error, error.to_string()),
         };
         if let Err(error) = crate::pipeline::spawn("move", watch) {

@@ -7,7 +7,7 @@ use crate::viewer::bench::{BenchStatus, Pictures};
 use crate::viewer::plane::Layer;
 use crate::viewer::settings::Below;
 use egui::{Color32, RichText, ScrollArea, Ui};
-use egui_plot::{Legend, Line, Plot, VLine};
+use egui_plot::{Corner, Legend, Line, Plot, Points, VLine};
 
 /// Blue, orange, green, vermilion: told apart by all eyes.
 const COLORS: [Color32; 4] = [
@@ -30,14 +30,15 @@ pub(in crate::viewer) fn below(
     line: &[(String, Vec<[f64; 2]>)],
 ) {
     match what {
-        Below::Curves => curves(ui, &status.quality),
+        Below::Curves => curves(ui, status, pictures),
         Below::Histogram => histogram(ui, pictures, limits),
         Below::Profile => profile_plot(ui, line),
         Below::Events => events(ui, status),
     }
 }
 
-fn curves(ui: &mut Ui, quality: &[Quality]) {
+fn curves(ui: &mut Ui, status: &BenchStatus, pictures: &Pictures) {
+    let quality = &status.quality;
     let Some(last) = quality.last() else {
         ui.label("Signal-to-noise, resolution and bleaching appear here after two subsequences.");
         return;
@@ -45,24 +46,23 @@ fn curves(ui: &mut Ui, quality: &[Quality]) {
     let needed = last.exposures_for_snr(WANTED_SNR);
     let needed = needed.map_or("cannot be said yet".to_owned(), |exposures| match exposures {
         0 => "reached".to_owned(),
-        more => format!("{more} more exposures"),
+        more => format!("{more} more exposures needed"),
     });
     ui.label(format!("Signal-to-noise {WANTED_SNR} in every dye: {needed}"));
-    let species = last.snr_species.len().max(1);
-    let height = (ui.available_height() - 6.0).max(60.0);
+    let names = names_of_results(pictures);
+    let named = |index: usize| names.get(index).cloned().unwrap_or_else(|| format!("image {}", index + 1));
+    let height = (ui.available_height() - 4.0).max(60.0);
     ui.columns(3, |columns| {
         let curve = |value: &dyn Fn(&Quality) -> Option<f64>| -> Vec<[f64; 2]> {
             quality.iter().filter_map(|quality| Some([quality.exposures as f64, value(quality)?])).collect()
         };
         plot(&mut columns[0], "SNR", height, |index| {
-            let name = format!("dye {}", index + 1);
-            (index < species)
-                .then(|| (name, curve(&|quality| quality.snr_species.get(index).copied().flatten())))
+            last.snr_species.get(index)?;
+            Some((named(index), curve(&|quality| quality.snr_species.get(index).copied().flatten())))
         });
         plot(&mut columns[1], "resolution, nm", height, |index| {
-            let names = last.resolution.get(index)?;
-            let _ = names;
-            Some((format!("image {}", index + 1), curve(&|quality| quality.resolution.get(index)?.nm)))
+            last.resolution.get(index)?;
+            Some((named(index), curve(&|quality| quality.resolution.get(index)?.nm)))
         });
         plot(&mut columns[2], "light left", height, |index| {
             let name = ["camera R", "camera T"].get(index)?;
@@ -72,6 +72,13 @@ fn curves(ui: &mut Ui, quality: &[Quality]) {
     });
 }
 
+/// Names of the dyes, or of the spectral channels where no dyes are named.
+fn names_of_results(pictures: &Pictures) -> Vec<String> {
+    let Some(sofi) = &pictures.sofi else { return Vec::new() };
+    let stage = sofi.last_stage();
+    stage.into_iter().flat_map(|stage| sofi.stage(stage)).map(|image| image.name.clone()).collect()
+}
+
 fn plot(ui: &mut Ui, name: &str, height: f32, curve: impl Fn(usize) -> Option<(String, Vec<[f64; 2]>)>) {
     let lines: Vec<_> = (0..4).map_while(curve).collect();
     Plot::new(name)
@@ -79,11 +86,13 @@ fn plot(ui: &mut Ui, name: &str, height: f32, curve: impl Fn(usize) -> Option<(S
         .x_axis_label("exposures")
         .y_axis_label(name)
         .include_y(0.0)
-        .legend(Legend::default())
+        .include_x(0.0)
+        .legend(Legend::default().position(Corner::RightBottom).background_alpha(0.3))
         .allow_scroll(false)
         .show(ui, |plot| {
             for ((name, points), color) in lines.into_iter().zip(COLORS) {
-                plot.line(Line::new(name, points).color(color).width(2.0));
+                plot.points(Points::new(name.clone(), points.clone()).color(color).radius(2.5));
+                plot.line(Line::new(name, points).color(color).width(1.5));
             }
         });
 }

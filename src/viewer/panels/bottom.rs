@@ -1,11 +1,16 @@
 //! The line at the very bottom: how far the run is, what the disk has left, what is under the pointer, the last event.
 
 use super::{color_of, in_bytes, in_words};
-use crate::viewer::bench::{Activity, BenchStatus, Gravity};
+use crate::viewer::bench::{Activity, BenchStatus, Gravity, Pictures};
 use egui::{ProgressBar, RichText, Ui};
 
 /// Draws the line.
-pub(in crate::viewer) fn bottom(ui: &mut Ui, status: &BenchStatus, reading: Option<&str>) {
+pub(in crate::viewer) fn bottom(
+    ui: &mut Ui,
+    status: &BenchStatus,
+    pictures: &Pictures,
+    reading: Option<&str>,
+) {
     let run = &status.run;
     if !matches!(status.activity, Activity::Closed | Activity::Opening) {
         ui.horizontal_wrapped(|ui| {
@@ -37,6 +42,9 @@ pub(in crate::viewer) fn bottom(ui: &mut Ui, status: &BenchStatus, reading: Opti
                 .on_hover_text("How full the queues to recording and analysis are");
             if !run.latency.is_zero() {
                 ui.label(format!("picture {:.0} ms behind", run.latency.as_secs_f64() * 1e3));
+            }
+            if let Some(sofi) = &pictures.sofi {
+                ui.label(&sofi.label).on_hover_text("What the image of the result is made of");
             }
             if !run.ended.is_empty() {
                 ui.label(RichText::new(&run.ended).strong());

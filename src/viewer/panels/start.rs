@@ -1,7 +1,7 @@
 //! The first screen: one click to the simulated microscope.
 
 use super::Wishes;
-use crate::viewer::bench::{Activity, BenchCommand, BenchStatus};
+use crate::viewer::bench::{Activity, BenchCommand, BenchStatus, LiveSettings};
 use crate::viewer::settings::WindowSettings;
 use egui::{Button, RichText, TextEdit, Ui, Vec2};
 
@@ -22,6 +22,8 @@ pub(in crate::viewer) fn start(
         let hover = "Two simulated cameras look at three dyes; no hardware is involved";
         if ui.add_enabled(is_free, button.min_size(Vec2::new(380.0, 52.0))).on_hover_text(hover).clicked() {
             wishes.ask(BenchCommand::OpenSimulated);
+            // Nothing shines and nothing moves there: the sample is shown at once.
+            wishes.ask(BenchCommand::Live(LiveSettings::default()));
         }
         ui.add_space(24.0);
         ui.label("or open an instrument file");
