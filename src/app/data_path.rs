@@ -397,7 +397,7 @@ fn analysis_stages<P: Send + Sync + 'static>(
 }
 
 /// The thread that calls this runs when nobody more important wants to; where that is refused, it runs as others.
-fn yield_to_others() {
+pub(super) fn yield_to_others() {
     let this_thread = rustix::thread::gettid();
     if let Err(errno) = rustix::process::setpriority_process(Some(this_thread), 10) {
         tracing::debug!(%errno, "the preview runs with the priority of the others");

@@ -38,6 +38,7 @@ pub struct Canvas {
     asked: Option<Asked>,
     key: u64,
     drag: Option<Drag>,
+    pace: std::time::Duration,
 }
 
 /// What was asked of the renderer last.
@@ -93,7 +94,13 @@ impl Canvas {
             asked: None,
             key: 0,
             drag: None,
+            pace: std::time::Duration::ZERO,
         }
+    }
+
+    /// A picture that is there is drawn after this time.
+    pub fn set_pace(&mut self, pace: std::time::Duration) {
+        self.pace = pace / 2;
     }
 
     /// Limits that the contrast came to, layer by layer.
@@ -275,6 +282,7 @@ impl Canvas {
             contrast: view.contrast(),
             part_um,
             size,
+            pace: self.pace,
         };
         if self.renderer.ask(request, ui.ctx()) {
             self.key += 1;

@@ -27,6 +27,8 @@ pub struct Request {
     pub part_um: [f64; 4],
     /// Columns and rows of the picture.
     pub size: [usize; 2],
+    /// The window draws the picture after this time.
+    pub pace: std::time::Duration,
 }
 
 /// A picture that is there.
@@ -60,7 +62,7 @@ impl Renderer {
                 if done.send(render(&request)).is_err() {
                     return;
                 }
-                context.request_repaint();
+                context.request_repaint_after(request.pace);
             }
         };
         let requests = match spawn("viewer-render", run) {
@@ -232,7 +234,7 @@ mod tests {
 
     fn request(layers: Vec<Layer>, part_um: [f64; 4], size: [usize; 2]) -> Request {
         let contrast = Contrast::Manual(Limits { low: 0.0, high: 20.0 });
-        Request { key: 7, layers, split: None, contrast, part_um, size }
+        Request { key: 7, layers, split: None, contrast, part_um, size, pace: std::time::Duration::ZERO }
     }
 
     #[test]

@@ -15,11 +15,13 @@ use std::time::{Duration, Instant};
 
 /// Longest time between two Escapes that are a STOP.
 const TWICE: f64 = 1.0;
-/// Time between two looks while something goes on, and while nothing does.
+/// Shortest time between two looks while something goes on, and the time while nothing does.
 const LOOKS: [Duration; 2] = [Duration::from_millis(33), Duration::from_millis(250)];
+/// Drawing takes at most a third of a core: the window waits so many times as long as a look has taken.
+const REST: f64 = 2.0;
 
 /// Keys and what they do, as the list shows them.
-pub const SHORTCUTS: [(&str, &str); 15] = [
+pub const SHORTCUTS: [(&str, &str); 16] = [
     ("Ctrl+.  or Esc Esc", "STOP: lasers off, motion stopped, run aborted"),
     ("L", "Live"),
     ("F", "Finish in good order"),
@@ -35,6 +37,7 @@ pub const SHORTCUTS: [(&str, &str); 15] = [
     ("Ctrl+drag in a camera", "Region of the cameras"),
     ("Right click", "Bring this place to the middle with the stage"),
     ("Ctrl+Z, Ctrl+Y", "Undo and redo view and contrast"),
+    ("Ctrl+Q", "Leave; a run is asked about"),
 ];
 
 /// The window.
@@ -53,8 +56,10 @@ pub struct Window {
     shows_shortcuts: bool,
     /// What was refused, and when.
     refused: Option<(String, Instant)>,
-    /// How long the last look took to draw.
+    /// How long the last look took on the window's own thread.
     took: Duration,
+    /// Time between two looks, as the computer can draw.
+    pace: Duration,
 }
 
 impl Window {
@@ -76,6 +81,7 @@ impl Window {
             shows_shortcuts: false,
             refused: None,
             took: Duration::ZERO,
+            pace: LOOKS[0],
         }
     }
 
@@ -101,6 +107,11 @@ impl Window {
     #[must_use]
     pub fn has_pictures(&self) -> (bool, bool) {
         (self.result.has_picture(), self.cameras.iter().all(Canvas::has_picture))
+    }
+
+    /// The whole of the last look took this long, with the drawing by OpenGL.
+    pub fn drawn_in(&mut self, took: Duration) {
+        self.pace = took.mul_f64(1.0 + REST).clamp(LOOKS[0], LOOKS[1]);
     }
 
     /// Draws everything once.
@@ -138,7 +149,7 @@ impl Window {
         self.obey(wishes, &status);
         self.list_shortcuts(ui);
         let goes_on = !matches!(status.activity, Activity::Closed | Activity::Idle);
-        ui.ctx().request_repaint_after(LOOKS[usize::from(!goes_on)]);
+        ui.ctx().request_repaint_after(if goes_on { self.pace } else { LOOKS[1] });
         self.took = begun.elapsed();
     }
 
@@ -286,6 +297,7 @@ impl Window {
             Panel::left("cameras").exact_size(width).resizable(false).show(ui, |ui| {
                 let height = (ui.available_height() - 8.0) * 0.5;
                 for (index, canvas) in self.cameras.iter_mut().enumerate() {
+                    canvas.set_pace(self.pace);
                     let own = View { subject: Subject::Camera(index), split: None, ..view };
                     ui.allocate_ui(egui::Vec2::new(ui.available_width(), height), |ui| {
                         let one = canvas.ui(ui, pictures, &own, waiting);
@@ -295,6 +307,7 @@ impl Window {
             });
         }
         CentralPanel::no_frame().show(ui, |ui| {
+            self.result.set_pace(self.pace);
             let one = self.result.ui(ui, pictures, &view, waiting);
             merge(&mut done, one);
         });

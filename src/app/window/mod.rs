@@ -21,6 +21,7 @@ mod shared;
 mod tests;
 
 use super::AppError;
+use super::data_path::yield_to_others;
 use crate::viewer::bench::{Activity, Bench, BenchCommand};
 use crate::viewer::{Window, WindowSettings};
 use bench::LocalBench;
@@ -77,6 +78,8 @@ pub(super) fn run(arguments: &LiveArguments) -> Result<(), AppError> {
         "sofiscope",
         options,
         Box::new(move |context| {
+            // Instrument and session have their threads already: what draws gives way to them.
+            yield_to_others();
             let settings = context.storage.and_then(|storage| eframe::get_value(storage, STORED));
             let settings: WindowSettings = settings.unwrap_or_default();
             let bench = shown.another();
@@ -123,6 +126,8 @@ struct App {
 struct Times {
     /// Seconds of each look.
     looks: Vec<f32>,
+    /// The same with the drawing by OpenGL.
+    frames: Vec<f32>,
     has_cameras: bool,
     has_result: bool,
 }
@@ -133,6 +138,7 @@ impl Times {
         // A day at the bench needs no more than the newest hour.
         if self.looks.len() > 200_000 {
             self.looks.drain(..100_000);
+            self.frames.drain(..self.frames.len().min(100_000));
         }
         let (result, cameras) = window.has_pictures();
         if cameras && !self.has_cameras {
@@ -145,21 +151,27 @@ impl Times {
     }
 
     fn tell(&mut self) {
-        self.looks.sort_by(f32::total_cmp);
-        let at = |share: f64| {
-            let place = (self.looks.len().saturating_sub(1) as f64 * share) as usize;
-            self.looks.get(place).copied().unwrap_or(0.0) * 1e3
-        };
-        let (median, slow) = (at(0.5), at(0.99));
-        tracing::info!(
-            "{} looks of the window: median {median:.2} ms, 99th percentile {slow:.2} ms",
-            self.looks.len()
-        );
+        for (what, times) in [("window's thread", &mut self.looks), ("with OpenGL", &mut self.frames)] {
+            times.sort_by(f32::total_cmp);
+            let at = |share: f64| {
+                let place = (times.len().saturating_sub(1) as f64 * share) as usize;
+                times.get(place).copied().unwrap_or(0.0) * 1e3
+            };
+            let (median, slow, number) = (at(0.5), at(0.99), times.len());
+            tracing::info!("{number} looks, {what}: median {median:.2} ms, 99th percentile {slow:.2} ms");
+        }
     }
 }
 
 impl eframe::App for App {
-    fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
+    fn ui(&mut self, ui: &mut egui::Ui, frame: &mut eframe::Frame) {
+        if ui.ctx().input_mut(|input| input.consume_key(egui::Modifiers::COMMAND, egui::Key::Q)) {
+            ui.ctx().send_viewport_cmd(egui::ViewportCommand::Close);
+        }
+        if let Some(seconds) = frame.info().cpu_usage {
+            self.times.frames.push(seconds);
+            self.window.drawn_in(Duration::from_secs_f32(seconds.clamp(0.0, 1.0)));
+        }
         let is_closing = ui.ctx().input(|input| input.viewport().close_requested());
         let is_running = matches!(self.bench.status().activity, Activity::Run | Activity::Paused);
         if is_closing && is_running && self.wished.is_none_or(|wished| wished.elapsed() > TWICE) {
