@@ -9,6 +9,7 @@
 use super::kernel::{Block, Count, Planes};
 use super::plan::{Element, Halo, Plan};
 use super::prefetch::{LINE_BYTES, prefetch};
+use super::registered::{Rows, TRANSMITTED};
 use std::ops::Range;
 
 /// Columns kept on either side of a strip: one register, so that they are converted like all others.
@@ -123,9 +124,14 @@ impl<T: Count> Part<'_, T> {
 
 /// Converts the lines that the first row of a part needs, but for the last of them.
 #[inline(always)]
-pub(super) fn begin<T: Count>(block: &Block<'_, T>, part: &Part<'_, T>, numbers: &mut [f32]) {
+pub(super) fn begin<T: Count>(
+    block: &Block<'_, T>,
+    part: &Part<'_, T>,
+    rows: &mut Rows,
+    numbers: &mut [f32],
+) {
     for line in 0..block.plan.halo.up + block.plan.halo.down {
-        convert_line(block, part, line, numbers);
+        convert_line(block, part, line, rows, numbers);
     }
 }
 
@@ -135,6 +141,7 @@ pub(super) fn advance<T: Count>(
     block: &Block<'_, T>,
     (part, next): (&Part<'_, T>, Option<&Part<'_, T>>),
     row: usize,
+    rows: &mut Rows,
     numbers: &mut [f32],
 ) {
     let before = block.plan.halo.up + block.plan.halo.down;
@@ -146,12 +153,18 @@ pub(super) fn advance<T: Count>(
             next.prefetch_line(block, line);
         }
     }
-    convert_line(block, part, line, numbers);
+    convert_line(block, part, line, rows, numbers);
 }
 
 /// Converts one row of a part, lines counted from the first one above it; zero outside the camera region.
 #[inline(always)]
-fn convert_line<T: Count>(block: &Block<'_, T>, part: &Part<'_, T>, line: usize, numbers: &mut [f32]) {
+fn convert_line<T: Count>(
+    block: &Block<'_, T>,
+    part: &Part<'_, T>,
+    line: usize,
+    rows: &mut Rows,
+    numbers: &mut [f32],
+) {
     let (shape, layout) = (&block.shape, block.layout);
     let (y, columns) = match part.camera_row(block, line) {
         Some(y) => {
@@ -161,15 +174,25 @@ fn convert_line<T: Count>(block: &Block<'_, T>, part: &Part<'_, T>, line: usize,
     };
     let left = (columns.start + PADDING).saturating_sub(part.columns.start);
     let start = line % shape.depth * shape.row;
+    let resampler = block.resampler.filter(|_| !columns.is_empty());
+    if let Some(resampler) = resampler {
+        rows.prepare(resampler, y, columns.start, columns.len());
+    }
     for (sample, frame) in part.samples.iter().zip((start..).step_by(shape.frame)) {
         for (index, (pixels, start)) in sample.iter().zip((frame..).step_by(shape.plane)).enumerate() {
             let (before, target) = numbers[start..start + shape.row].split_at_mut(left);
             let (target, behind) = target.split_at_mut(columns.len());
             before.fill(0.0);
             behind.fill(0.0);
-            let pixels = &pixels[y * layout.width..][columns.clone()];
-            let reference = &block.reference[index % shape.channels][y * layout.stride..][columns.clone()];
-            subtract(target, pixels, reference);
+            let channel = index % shape.channels;
+            let reference = &block.reference[channel][y * layout.stride..][columns.clone()];
+            match resampler.filter(|_| channel == TRANSMITTED) {
+                Some(resampler) => {
+                    rows.fill(resampler, pixels);
+                    subtract(target, &rows.values[..columns.len()], reference);
+                }
+                None => subtract(target, &pixels[y * layout.width..][columns.clone()], reference),
+            }
         }
     }
 }
