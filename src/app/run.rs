@@ -216,6 +216,8 @@ fn open_hardware(
         exposure_ms: Some(plan.cameras().period.as_secs_f64() * 1e3),
         simulated: is_virtual,
         species: None,
+        serials: identities.each_ref().map(|identity| Some(identity.serial.clone())),
+        registration: None,
     };
     Ok((rig, source, Patience::Live))
 }
@@ -265,6 +267,8 @@ fn open(
         exposure_ms: Some(plan.cameras().period.as_secs_f64() * 1e3),
         simulated: true,
         species: Some(species_of(&world)?),
+        serials: rig.identities.each_ref().map(|identity| Some(identity.serial.clone())),
+        registration: None,
     };
     Ok((rig, source, simulated::patience_of(pace)))
 }

@@ -151,17 +151,17 @@ impl ReflectedFromTransmitted {
         Some(self.mirror.apply(self.affine.inverse()?.apply(in_reflected), self.size))
     }
 
-    /// The same map between equal parts of both regions that begin at `[y, x]` and have this height and width.
+    /// The same map between parts of both regions that begin at `[y, x]` of R and of T and have this height and width.
     #[must_use]
-    pub fn cropped(&self, begin: [usize; 2], size: [usize; 2]) -> Self {
+    pub fn cropped(&self, [in_reflected, in_transmitted]: [[usize; 2]; 2], size: [usize; 2]) -> Self {
         let flips = self.mirror.flips();
         // A point q of the flipped part is the point q + moved of the flipped region.
         let moved: [f64; 2] = std::array::from_fn(|axis| {
-            let beyond = self.size[axis].saturating_sub(begin[axis] + size[axis]);
-            if flips[axis] { beyond as f64 } else { begin[axis] as f64 }
+            let beyond = self.size[axis].saturating_sub(in_transmitted[axis] + size[axis]);
+            if flips[axis] { beyond as f64 } else { in_transmitted[axis] as f64 }
         });
         let at = self.affine.apply(moved);
-        let shift = std::array::from_fn(|axis| at[axis] - begin[axis] as f64);
+        let shift = std::array::from_fn(|axis| at[axis] - in_reflected[axis] as f64);
         Self { affine: Affine { shift, ..self.affine }, size, ..*self }
     }
 
@@ -211,9 +211,8 @@ mod tests {
 
         #[test]
         fn a_part_is_mapped_like_the_whole(map in any_map(), y in 0.0..20.0, x in 0.0..20.0) {
-            let (begin, size) = ([8, 12], [24, 30]);
-            let in_part = map.cropped(begin, size).apply([y, x]);
-            let in_whole = map.apply([y + 8.0, x + 12.0]);
+            let in_part = map.cropped([[8, 12], [5, 9]], [24, 30]).apply([y, x]);
+            let in_whole = map.apply([y + 5.0, x + 9.0]);
             prop_assert!((in_part[0] + 8.0 - in_whole[0]).abs() < 1e-9);
             prop_assert!((in_part[1] + 12.0 - in_whole[1]).abs() < 1e-9);
         }
