@@ -46,6 +46,9 @@ pub(super) type Planes<'a, T> = Vec<&'a [T]>;
 /// Columns of a strip: few enough that a ring holds many exposures of them.
 const STRIP_COLUMNS: usize = 128;
 
+/// The same where columns beside the strip take longer to make, as for a camera that is registered.
+const REGISTERED_STRIP_COLUMNS: usize = 256;
+
 /// The most numbers that a ring holds, a quarter of the second-level cache.
 const RING_NUMBERS: usize = 64 * 1024;
 
@@ -121,12 +124,12 @@ impl<T: Count> WithSimd for BandWork<'_, '_, T> {
         for index in 0..cutting.parts() {
             let part = cutting.part(block, index);
             let next = (index + 1 < cutting.parts()).then(|| cutting.part(block, index + 1));
-            ring::begin(block, &part, registered, numbers);
+            ring::begin(simd, block, &part, registered, numbers);
             for row in 0..part.rows.len() {
                 if let Some(next) = next.as_ref().filter(|next| next.columns != part.columns) {
                     prefetch_sums(block, next, row, sums);
                 }
-                ring::advance(block, (&part, next.as_ref()), row, registered, numbers);
+                ring::advance(simd, block, (&part, next.as_ref()), row, registered, numbers);
                 let rows = Rows {
                     numbers,
                     shape: block.shape,
@@ -154,7 +157,13 @@ impl Cutting {
         let most = (RING_NUMBERS / block.shape.frame).max(4);
         let chunks = samples.div_ceil(most);
         let frames = samples.div_ceil(chunks.max(1));
-        Self { rows: block.layout.rows(band), columns: width.min(STRIP_COLUMNS), width, frames, chunks }
+        Self {
+            rows: block.layout.rows(band),
+            columns: width.min(block.shape.columns()),
+            width,
+            frames,
+            chunks,
+        }
     }
 
     fn parts(&self) -> usize {
@@ -224,8 +233,9 @@ pub(super) struct Deltas {
 }
 
 impl Deltas {
-    pub(super) fn new(plan: &Plan, layout: &Layout) -> Self {
-        let shape = Shape::new(plan, layout.stride.min(STRIP_COLUMNS));
+    pub(super) fn new(plan: &Plan, layout: &Layout, registered: bool) -> Self {
+        let columns = if registered { REGISTERED_STRIP_COLUMNS } else { STRIP_COLUMNS };
+        let shape = Shape::new(plan, layout.stride.min(columns));
         let of_term = |turn: usize, term: &Term| {
             let elements = term.sets.iter().flat_map(|set| &set.elements);
             elements.map(|element| shape.element(turn, element)).collect()

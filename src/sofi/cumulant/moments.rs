@@ -55,7 +55,7 @@ impl RunMoments {
             samples: 0,
             begin: 0,
             end: 0,
-            deltas: Deltas::new(plan, layout),
+            deltas: Deltas::new(plan, layout, registered.is_some()),
             reference: vec![vec![0.0; layout.height * layout.stride]; plan.algebra.channels()],
             shifts: vec![vec![0.0; layout.height * layout.stride]; plan.algebra.channels()],
             chunk: (0..=plan.order).map(zeroed).collect(),
@@ -101,10 +101,19 @@ impl RunMoments {
                 None => workers.for_each(&mut bands, |band, sums| accumulate(&block, band, sums)),
                 Some(RawSums { registered, bands: raw }) => {
                     let block = block.registered(&registered.resampler);
-                    let mut bands: Vec<_> = bands.into_iter().zip(raw).collect();
+                    // Rows of T are summed while they are still in the caches.
+                    let partner = |band: usize| registered.raw_band(layout, band);
+                    let mut raw: Vec<Option<&mut Vec<f64>>> = raw.iter_mut().map(Some).collect();
+                    let mut bands: Vec<_> = bands
+                        .into_iter()
+                        .enumerate()
+                        .map(|(band, sums)| (sums, raw[partner(band)].take()))
+                        .collect();
                     workers.for_each(&mut bands, |band, (sums, raw)| {
                         accumulate(&block, band, sums);
-                        add_raw(now, layout, band, raw);
+                        if let Some(raw) = raw {
+                            add_raw(now, layout, partner(band), raw);
+                        }
                     });
                 }
             }

@@ -14,6 +14,7 @@ use crate::sofi::registration::{
     NoiseLine, REGISTER, RegistrationSettings, Resampler, RowTaps, TAPS, TransformError,
 };
 use ndarray::Array2;
+use pulp::Simd;
 use std::sync::Arc;
 
 /// The channel that is brought onto the others.
@@ -37,6 +38,19 @@ impl Registered {
     /// Pixels of R without a partner, or with a masked one.
     pub(super) fn missing(&self, masked: Option<&Array2<bool>>) -> Option<Array2<bool>> {
         self.resampler.missing(masked)
+    }
+
+    /// The band of T's rows that a band of R's rows has just been made from, about; another one for every band.
+    pub(super) fn raw_band(&self, layout: &Layout, band: usize) -> usize {
+        let middle = [layout.height / 2, layout.width / 2];
+        let (row, _) = self.resampler.nearest(middle[0], middle[1]);
+        let (here, there, bands) = (layout.band_of(middle[0]), layout.band_of(row), layout.bands());
+        let flipped = self.resampler.nearest(middle[0] + 1, middle[1]).0 < row;
+        if flipped {
+            (there + here + 2 * bands - band) % bands
+        } else {
+            (there + band + bands - here) % bands
+        }
     }
 
     /// Empty sums for one subsequence.
@@ -69,30 +83,31 @@ impl RawSums {
     }
 }
 
+/// Columns that are summed at a time: few enough that their sums stay in the first-level cache.
+const SUMMED_COLUMNS: usize = 512;
+
 /// Adds the raw pixels of T in the rows of one band, in the order of time.
 pub(super) fn add_raw<T: Count>(samples: &[Planes<'_, T>], layout: &Layout, band: usize, sums: &mut [f64]) {
     if sums.is_empty() {
         return;
     }
-    for (y, sums) in layout.rows(band).zip(sums.chunks_exact_mut(layout.stride)) {
-        let row = y * layout.width..(y + 1) * layout.width;
-        let (registers, rest) = sums[..layout.width].as_chunks_mut::<REGISTER>();
-        for (register, sums) in registers.iter_mut().enumerate() {
-            let start = row.start + register * REGISTER;
-            for sample in samples {
-                let pixels = &sample[TRANSMITTED][start..start + REGISTER];
-                for (sum, pixel) in sums.iter_mut().zip(pixels) {
-                    *sum += f64::from(pixel.counts());
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for (y, sums) in layout.rows(band).zip(sums.chunks_exact_mut(layout.stride)) {
+                let mut start = y * layout.width;
+                for sums in sums[..layout.width].chunks_mut(SUMMED_COLUMNS) {
+                    for sample in samples {
+                        let pixels = &sample[TRANSMITTED][start..start + sums.len()];
+                        for (sum, pixel) in sums.iter_mut().zip(pixels) {
+                            *sum += f64::from(pixel.counts());
+                        }
+                    }
+                    start += sums.len();
                 }
             }
-        }
-        let start = row.end - rest.len();
-        for sample in samples {
-            for (sum, pixel) in rest.iter_mut().zip(&sample[TRANSMITTED][start..row.end]) {
-                *sum += f64::from(pixel.counts());
-            }
-        }
-    }
+        },
+    );
 }
 
 /// Memory for the bias of one row of R.
@@ -216,7 +231,7 @@ impl Rows {
 
     /// The values of a frame of T.
     #[inline(always)]
-    pub(super) fn fill<T: Count>(&mut self, resampler: &Resampler, frame: &[T]) {
-        resampler.row(&mut self.taps, frame, T::counts, &mut self.values);
+    pub(super) fn fill<S: Simd, T: Count>(&mut self, simd: S, resampler: &Resampler, frame: &[T]) {
+        resampler.row(simd, &mut self.taps, frame, T::counts, &mut self.values);
     }
 }

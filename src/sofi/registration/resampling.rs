@@ -5,14 +5,15 @@
 //! registers: within one, the first of the six pixels moves by at most one, so seven taps per register are enough and
 //! no pixel is looked up by itself.
 //!
-//! In: the transform and how to interpolate; rows of T as the camera gave them. Out: rows on the pixels of R, in counts of T per pixel of R.
+//! In: the transform and how to interpolate; rows of T as the camera gave them. Out: rows on the pixels of R, in
+//! counts of T per pixel of R.
 //! Never: allocates after the first row on a thread, changes a value by whole-pixel shifts and mirrors.
 //! Fails: [`TransformError`] for maps that are farther from a shift than registers can follow.
 
 use super::interpolation::{Interpolation, TAPS, Weights};
 use super::transform::{ReflectedFromTransmitted, TransformError};
 use ndarray::Array2;
-use std::ops::Range;
+use pulp::Simd;
 
 /// Columns of one register.
 pub const REGISTER: usize = 16;
@@ -192,8 +193,9 @@ impl Resampler {
 
     /// The values of a frame of T where `taps` was prepared for; `count` gives the counts of a pixel.
     #[inline(always)]
-    pub fn row<T: Copy>(
+    pub fn row<S: Simd, T: Copy>(
         &self,
+        simd: S,
         taps: &mut RowTaps,
         frame: &[T],
         count: impl Fn(T) -> f32,
@@ -202,57 +204,86 @@ impl Resampler {
         let RowTaps { down, across, begin, between } = taps;
         let (between_registers, _) = between.as_chunks_mut::<REGISTER>();
         for ((taps, between), j) in down.iter().zip(between_registers).zip((*begin..).step_by(REGISTER)) {
-            let mut sums = [0.0; REGISTER];
+            let mut sums = zeros(simd);
             let columns = self.columns(j);
             for (row, weights) in (taps.first..).zip(&taps.weights[..taps.taps]) {
                 let start = onto(row, self.height, self.flips[0]) * self.width;
-                let pixels = match &columns {
-                    Some(columns) => {
-                        let pixels = &frame[start + columns.start..start + columns.end];
-                        std::array::from_fn(|lane| count(pixels[lane]))
+                let mut pixels = [0.0; REGISTER];
+                match columns.and_then(|first| frame[start + first..].first_chunk::<REGISTER>()) {
+                    Some(raw) => {
+                        for (pixel, raw) in pixels.iter_mut().zip(raw) {
+                            *pixel = count(*raw);
+                        }
                     }
-                    None => self.at_the_border(&frame[start..start + self.width], j, &count),
-                };
-                add_weighted(&mut sums, weights, &pixels);
+                    None => {
+                        let line = &frame[start..start + self.width];
+                        for (lane, pixel) in pixels.iter_mut().enumerate() {
+                            let lane = if self.flips[1] { REGISTER - 1 - lane } else { lane };
+                            *pixel = count(line[onto(j + lane as i64, self.width, self.flips[1])]);
+                        }
+                    }
+                }
+                add_weighted(simd, &mut sums, weights, &pixels);
             }
+            store(simd, &sums, between);
             if self.flips[1] {
-                sums.reverse();
+                between.reverse();
             }
-            *between = sums;
         }
         for (taps, values) in across.iter().zip(values.chunks_mut(REGISTER)) {
-            let mut sums = [0.0; REGISTER];
+            let mut sums = zeros(simd);
             let start = (taps.first - *begin) as usize;
-            for (tap, weights) in taps.weights[..taps.taps].iter().enumerate() {
-                let between = &between[start + tap..start + tap + REGISTER];
-                let pixels = std::array::from_fn(|lane| between[lane]);
-                add_weighted(&mut sums, weights, &pixels);
+            for (weights, between) in taps.weights[..taps.taps].iter().zip(between[start..].windows(REGISTER))
+            {
+                if let Some(between) = between.first_chunk::<REGISTER>() {
+                    add_weighted(simd, &mut sums, weights, between);
+                }
             }
-            let length = values.len();
-            values.copy_from_slice(&sums[..length]);
+            let mut register = [0.0; REGISTER];
+            store(simd, &sums, &mut register);
+            match values.first_chunk_mut::<REGISTER>() {
+                Some(values) => *values = register,
+                None => values.copy_from_slice(&register[..values.len()]),
+            }
         }
     }
 
-    /// Columns of the sensor of a register of flipped T, if all are there.
+    /// First column of the sensor of a register of flipped T, if all are there.
     #[inline(always)]
-    fn columns(&self, j: i64) -> Option<Range<usize>> {
+    fn columns(&self, j: i64) -> Option<usize> {
         let start = if self.flips[1] { self.width as i64 - REGISTER as i64 - j } else { j };
-        let start = usize::try_from(start).ok()?;
-        (start + REGISTER <= self.width).then_some(start..start + REGISTER)
+        usize::try_from(start).ok().filter(|start| start + REGISTER <= self.width)
     }
+}
 
-    fn at_the_border<T: Copy>(&self, line: &[T], j: i64, count: &impl Fn(T) -> f32) -> [f32; REGISTER] {
-        std::array::from_fn(|lane| {
-            let lane = if self.flips[1] { REGISTER - 1 - lane } else { lane };
-            count(line[onto(j + lane as i64, self.width, self.flips[1])])
-        })
+/// The vectors of one register; those beyond it are not used.
+type Vectors<S> = [<S as Simd>::f32s; MOST_VECTORS];
+
+/// Vectors of a register where they are shortest.
+const MOST_VECTORS: usize = 4;
+
+#[inline(always)]
+fn zeros<S: Simd>(simd: S) -> Vectors<S> {
+    [simd.splat_f32s(0.0); MOST_VECTORS]
+}
+
+#[inline(always)]
+fn add_weighted<S: Simd>(
+    simd: S,
+    sums: &mut Vectors<S>,
+    weights: &[f32; REGISTER],
+    pixels: &[f32; REGISTER],
+) {
+    let (weights, pixels) = (S::as_simd_f32s(weights).0, S::as_simd_f32s(pixels).0);
+    for ((sum, weight), pixel) in sums.iter_mut().zip(weights).zip(pixels) {
+        *sum = simd.mul_add_e_f32s(*weight, *pixel, *sum);
     }
 }
 
 #[inline(always)]
-fn add_weighted(sums: &mut [f32; REGISTER], weights: &[f32; REGISTER], pixels: &[f32; REGISTER]) {
-    for ((sum, weight), pixel) in sums.iter_mut().zip(weights).zip(pixels) {
-        *sum += weight * pixel;
+fn store<S: Simd>(_: S, sums: &Vectors<S>, register: &mut [f32; REGISTER]) {
+    for (target, sum) in S::as_mut_simd_f32s(register).0.iter_mut().zip(sums) {
+        *target = *sum;
     }
 }
 
@@ -299,7 +330,7 @@ mod tests {
         for y in 0..height {
             let mut row = vec![0.0; width];
             resampler.prepare(y as i64, 0, width.div_ceil(REGISTER), &mut taps);
-            resampler.row(&mut taps, frame, f32::from, &mut row);
+            resampler.row(pulp::Scalar128b, &mut taps, frame, f32::from, &mut row);
             all.extend(row);
         }
         all
