@@ -2,6 +2,7 @@
 
 use super::AppError;
 use super::progress::Progress;
+use super::registering::registered;
 use crate::config::{AnalysisSettings, Catalogue};
 use crate::reconstruction::{
     AllCores, ChainSettings, Feed, FeedError, FlatteningKind, Quality, Stages, feed, reconstruct,
@@ -43,6 +44,10 @@ pub(super) struct Source {
     pub(super) simulated: bool,
     /// Species that the source knows, instead of names to look up.
     pub(super) species: Option<Vec<Species>>,
+    /// Serial numbers of cameras R and T, where known.
+    pub(super) serials: [Option<String>; 2],
+    /// Text of the registration that the source knows.
+    pub(super) registration: Option<String>,
 }
 
 /// Settings that fit a source: everything that can be refused before the first frame.
@@ -56,6 +61,8 @@ pub(super) struct Prepared {
     pub(super) species: Vec<Species>,
     pub(super) pixel_pitch_nm: f64,
     pub(super) warnings: Vec<String>,
+    /// Text of the registration that is used.
+    pub(super) registration: Option<String>,
 }
 
 /// Width of a point-spread function.
@@ -87,7 +94,11 @@ impl Prepared {
     /// Checks settings against a source.
     pub(super) fn new(settings: AnalysisSettings, source: Source) -> Result<Self, AppError> {
         let mut warnings = Vec::new();
-        let engine = engine_settings(&settings, &source)?;
+        let mut engine = engine_settings(&settings, &source)?;
+        let registered = registered(&settings, &source)?;
+        engine.registration = registered.as_ref().map(|registered| registered.settings);
+        warnings.extend(registered.iter().flat_map(|registered| registered.warnings.clone()));
+        let registration = registered.map(|registered| registered.text);
         let grid = engine.checked_grid().map_err(AppError::usage)?;
         if let Some(sigma_px) = settings.psf_sigma_px {
             Psf::gaussian(sigma_px).map_err(|error| unlike_a_psf(&error))?;
@@ -101,7 +112,7 @@ impl Prepared {
             ));
             PAPER_PITCH_NM
         });
-        Ok(Self { settings, source, engine, grid, matrix, species, pixel_pitch_nm, warnings })
+        Ok(Self { settings, source, engine, grid, matrix, species, pixel_pitch_nm, warnings, registration })
     }
 
     /// Runs the analysis on frames that `read` supplies, see [`feed`].

@@ -19,6 +19,12 @@ pub(super) struct AnalysisArguments {
     /// Exposures per subsequence [default: 200, or all if there are fewer]
     #[arg(long)]
     subsequence: Option<u64>,
+    /// Registration of camera T onto camera R, as `calibrate registration` writes it
+    #[arg(long, value_name = "FILE")]
+    registration: Option<String>,
+    /// How T is brought onto R: unbiased-sinc or bilinear-frames [default: unbiased-sinc]
+    #[arg(long, value_name = "NAME")]
+    registration_method: Option<String>,
 }
 
 impl AnalysisArguments {
@@ -29,6 +35,8 @@ impl AnalysisArguments {
             subsequence_exposures: self.subsequence,
             species: self.species.clone(),
             dichroic: self.dichroic.clone(),
+            registration_file: self.registration.clone(),
+            registration: self.registration_method.clone(),
             ..RawAnalysis::default()
         }
     }

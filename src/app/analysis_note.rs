@@ -16,6 +16,9 @@ pub(super) struct AnalysisNote {
     pub(super) settings: RawAnalysis,
     /// Species that the source knew, where none were named.
     species: Vec<SpeciesNote>,
+    /// The text of the registration that was used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) registration: Option<String>,
 }
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -32,13 +35,19 @@ impl AnalysisNote {
         let mut settings = raw.clone();
         settings.subsequence_exposures = Some(prepared.engine.subsequence);
         settings.pixel_pitch_nm = Some(prepared.pixel_pitch_nm);
+        // Its text is kept instead, as the file may change.
+        settings.registration_file = None;
         let note = |species: &Species| SpeciesNote {
             name: species.name.clone(),
             transmission: species.response.transmission(),
             reflection: species.response.reflection(),
             emission_nm: species.emission_nm,
         };
-        Self { settings, species: prepared.source.species.iter().flatten().map(note).collect() }
+        Self {
+            settings,
+            species: prepared.source.species.iter().flatten().map(note).collect(),
+            registration: prepared.registration.clone(),
+        }
     }
 
     /// The file's name and text.

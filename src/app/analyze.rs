@@ -71,7 +71,7 @@ pub(super) fn run(arguments: &AnalyzeArguments) -> Result<(), AppError> {
         return analyze_recording(arguments);
     }
     let settings = AnalysisSettings::try_from(raw_settings(arguments)?).map_err(AppError::usage)?;
-    let mut stacks = open(arguments)?;
+    let mut stacks = open_stacks(&arguments.reflection, arguments.transmission.as_deref())?;
     let mut prepared = Prepared::new(settings, source(&stacks)?)?;
     prepared.warnings.extend(same_file(arguments));
     let out = OutputDirectory::create(&arguments.out)?;
@@ -132,9 +132,12 @@ fn read_settings(path: &Path) -> Result<RawAnalysis, AppError> {
 }
 
 /// One stack per channel; a stack that holds both cameras is opened once for each.
-fn open(arguments: &AnalyzeArguments) -> Result<Vec<ImageStack>, AppError> {
-    let reflection = ImageStack::open(&arguments.reflection)?;
-    let Some(transmission) = &arguments.transmission else {
+pub(super) fn open_stacks(
+    reflection_path: &Path,
+    transmission: Option<&Path>,
+) -> Result<Vec<ImageStack>, AppError> {
+    let reflection = ImageStack::open(reflection_path)?;
+    let Some(transmission) = transmission else {
         let channels = reflection.info().channels;
         if channels == 1 {
             return Ok(vec![reflection]);
@@ -142,11 +145,11 @@ fn open(arguments: &AnalyzeArguments) -> Result<Vec<ImageStack>, AppError> {
         if channels > 2 {
             return Err(AppError::Data(format!(
                 "{} has {channels} channels; give a stack of one or two cameras",
-                arguments.reflection.display()
+                reflection_path.display()
             )));
         }
         let select = |channel| -> Result<ImageStack, AppError> {
-            let mut stack = ImageStack::open(&arguments.reflection)?;
+            let mut stack = ImageStack::open(reflection_path)?;
             stack.select_channel(channel)?;
             Ok(stack)
         };
@@ -209,6 +212,8 @@ fn source(stacks: &[ImageStack]) -> Result<Source, AppError> {
         exposure_ms: first.frame_interval.map(|interval| interval.as_secs_f64() * 1e3),
         simulated: stacks.iter().all(|stack| stack.info().is_simulated()),
         species: None,
+        serials: [None, None],
+        registration: None,
     })
 }
 

@@ -4,6 +4,9 @@ use super::AppError;
 use crate::reconstruction::AllCores;
 use crate::sofi::cumulant::{CumulantEngine, CumulantSettings, Exposure};
 use crate::sofi::grid::Combinations;
+use crate::sofi::registration::{
+    Affine, Interpolation, Mirror, NoiseLine, ReflectedFromTransmitted, RegistrationSettings,
+};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::time::{Duration, Instant};
@@ -40,33 +43,46 @@ pub struct Case {
     order: usize,
     side: usize,
     combinations: Combinations,
+    /// Whether camera T is brought onto camera R as a real one must be.
+    registered: bool,
 }
 
 /// The cases of the command, the paper's camera size first.
-pub const CASES: [Case; 4] = [
+pub const CASES: [Case; 5] = [
     Case {
         name: "two cameras, all spectral channels",
         order: 2,
         side: 2048,
         combinations: Combinations::AllClosest,
+        registered: false,
+    },
+    Case {
+        name: "two cameras, all spectral channels, T mirrored, turned and stretched",
+        order: 2,
+        side: 2048,
+        combinations: Combinations::AllClosest,
+        registered: true,
     },
     Case {
         name: "two cameras, all spectral channels",
         order: 3,
         side: 512,
         combinations: Combinations::AllClosest,
+        registered: false,
     },
     Case {
         name: "two cameras, all spectral channels",
         order: 4,
         side: 512,
         combinations: Combinations::AllClosest,
+        registered: false,
     },
     Case {
         name: "two cameras, one set per position",
         order: 4,
         side: 512,
         combinations: Combinations::OnePerPosition,
+        registered: false,
     },
 ];
 
@@ -77,8 +93,11 @@ pub fn measure(case: Case, rounds: usize) -> Measurement {
     let memory: Vec<Vec<u16>> = (0..2 * BLOCK).map(|frame| frame_of_noise(pixels, frame as u64)).collect();
     let planes: Vec<[&[u16]; 2]> =
         (0..BLOCK).map(|pair| [&memory[2 * pair][..], &memory[2 * pair + 1][..]]).collect();
-    let settings =
-        CumulantSettings { combinations: case.combinations, ..CumulantSettings::new(case.order, 2, 200) };
+    let settings = CumulantSettings {
+        combinations: case.combinations,
+        registration: case.registered.then(|| registration(case.side)),
+        ..CumulantSettings::new(case.order, 2, 200)
+    };
     let mut engine =
         CumulantEngine::<u16>::new(settings, case.side, case.side).expect("the built-in cases are valid");
     let mut next = 0;
@@ -110,6 +129,20 @@ pub fn measure(case: Case, rounds: usize) -> Measurement {
         pairs_per_second,
         input_bytes_per_second: pairs_per_second * (pixels * 2 * size_of::<u16>()) as f64,
         read_bandwidth_bytes_per_second: median(&mut bandwidths),
+    }
+}
+
+/// Cameras as they stand in real setups: mirrored, 40 pixels apart, turned by 1 degree, stretched by 1 %.
+fn registration(side: usize) -> RegistrationSettings {
+    let (sin, cos) = (1.01 * 0.0175, 1.01);
+    RegistrationSettings {
+        transform: ReflectedFromTransmitted {
+            mirror: Mirror::Horizontal,
+            affine: Affine { matrix: [[cos, sin], [-sin, cos]], shift: [22.4, 4.45] },
+            size: [side, side],
+        },
+        interpolation: Interpolation::UnbiasedSinc,
+        noise: NoiseLine::of_camera(2.174, 100.0, 3.0),
     }
 }
 

@@ -170,6 +170,8 @@ fn prepared(side: u32, frames: u64, order: usize) -> Result<Prepared, AppError> 
         exposure_ms: None,
         simulated: true,
         species: None,
+        serials: [None, None],
+        registration: None,
     };
     Prepared::new(AnalysisSettings::try_from(raw).map_err(AppError::usage)?, source)
 }

@@ -33,6 +33,8 @@ enum Command {
     Simulate(super::simulate::SimulateArguments),
     /// Compare the images of an analysis with the ground truth of their simulation
     Score(super::score::ScoreArguments),
+    /// Find how the cameras see each other
+    Calibrate(super::calibrate::CalibrateArguments),
     /// List all faults of a scene, fluorophores or dichroics file
     Check(super::check::CheckArguments),
     /// Show which devices answer, ask them who they are, and start virtual ones
@@ -62,6 +64,7 @@ pub fn run(arguments: Arguments) -> Result<u8, AppError> {
         Command::Bench(arguments) => super::bench::run(&arguments),
         Command::Simulate(arguments) => super::simulate::run(&arguments),
         Command::Score(arguments) => super::score::run(&arguments),
+        Command::Calibrate(arguments) => super::calibrate::run(&arguments),
         Command::Check(arguments) => super::check::run(&arguments),
         Command::Devices(arguments) => super::devices::run(&arguments),
         Command::LaserGuard(arguments) => super::hardware::run_guard(&arguments),

@@ -131,6 +131,8 @@ fn source(world: &World) -> Result<analysis::Source, AppError> {
         exposure_ms: Some(scene.exposure_ms()),
         simulated: true,
         species: Some(species_of(world)?),
+        serials: [None, None],
+        registration: None,
     })
 }
 

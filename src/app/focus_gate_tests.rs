@@ -101,6 +101,8 @@ fn record(out: &Path) -> (u64, u64) {
         exposure_ms: Some(world.scene().exposure_ms()),
         simulated: true,
         species: Some(species_of(&world).unwrap()),
+        serials: [None, None],
+        registration: None,
     };
     let prepared = Prepared::new(AnalysisSettings::try_from(raw.clone()).unwrap(), source).unwrap();
     let options = PathOptions {

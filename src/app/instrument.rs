@@ -156,6 +156,8 @@ impl About {
             exposure_ms: Some(period.as_secs_f64() * 1e3),
             simulated: self.label != Label::Real,
             species: self.species.clone(),
+            serials: self.facts.identities.each_ref().map(|identity| Some(identity.serial.clone())),
+            registration: None,
         }
     }
 

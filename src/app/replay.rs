@@ -214,7 +214,9 @@ fn prepare(replay: &Replay, given: RawAnalysis, start: u64) -> Result<Prepared, 
         pixel_pitch_nm: info.pixel_size_nm,
         exposure_ms: (!info.is_period_assumed).then_some(info.period.as_secs_f64() * 1e3),
         simulated: info.simulated,
-        species: note.map(|note| note.species()).transpose()?.flatten(),
+        species: note.as_ref().map(AnalysisNote::species).transpose()?.flatten(),
+        serials: [None, None],
+        registration: note.and_then(|note| note.registration),
     };
     Prepared::new(settings, source)
 }

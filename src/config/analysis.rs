@@ -2,9 +2,11 @@
 
 use crate::sofi::grid::Combinations;
 use crate::sofi::linearization::{Acceleration, Reconvolution};
+use crate::sofi::registration::Interpolation;
 use crate::sofi::unmixing::UnmixingMethod;
 use serde::{Deserialize, Serialize};
 use sofiscope_form::Faults;
+use std::path::PathBuf;
 
 /// Objective of the paper's microscope.
 const DEFAULT_NUMERICAL_APERTURE: f64 = 1.27;
@@ -43,6 +45,10 @@ pub struct RawAnalysis {
     pub pixel_pitch_nm: Option<f64>,
     /// Count at which the camera saturates.
     pub saturation_counts: Option<f32>,
+    /// File of the registration of camera T onto camera R.
+    pub registration_file: Option<String>,
+    /// `unbiased-sinc` or `bilinear-frames`.
+    pub registration: Option<String>,
 }
 
 /// Settings that can be believed.
@@ -78,10 +84,14 @@ pub struct AnalysisSettings {
     pub pixel_pitch_nm: Option<f64>,
     /// Count at which the camera saturates, if it was given.
     pub saturation_counts: Option<f32>,
+    /// File of the registration of camera T onto camera R.
+    pub registration_file: Option<PathBuf>,
+    /// How T is brought onto R.
+    pub interpolation: Interpolation,
 }
 
 /// Keys of a settings file, see [`RawAnalysis`].
-const KEYS: [&str; 15] = [
+const KEYS: [&str; 17] = [
     "order",
     "subsequence_exposures",
     "combinations",
@@ -97,6 +107,8 @@ const KEYS: [&str; 15] = [
     "numerical_aperture",
     "pixel_pitch_nm",
     "saturation_counts",
+    "registration_file",
+    "registration",
 ];
 
 /// Everything that is wrong with the settings.
@@ -148,6 +160,8 @@ impl RawAnalysis {
             numerical_aperture: self.numerical_aperture.or(other.numerical_aperture),
             pixel_pitch_nm: self.pixel_pitch_nm.or(other.pixel_pitch_nm),
             saturation_counts: self.saturation_counts.or(other.saturation_counts),
+            registration_file: self.registration_file.or(other.registration_file),
+            registration: self.registration.or(other.registration),
         }
     }
 }
@@ -205,6 +219,13 @@ impl TryFrom<RawAnalysis> for AnalysisSettings {
             numerical_aperture: raw.numerical_aperture.unwrap_or(DEFAULT_NUMERICAL_APERTURE),
             pixel_pitch_nm: raw.pixel_pitch_nm,
             saturation_counts: raw.saturation_counts,
+            registration_file: raw.registration_file.map(PathBuf::from),
+            interpolation: choose(
+                &mut faults,
+                "registration",
+                raw.registration.as_deref(),
+                &Interpolation::NAMES,
+            ),
         };
         if faults.is_empty() { Ok(settings) } else { Err(AnalysisFaults { faults }) }
     }

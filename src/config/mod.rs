@@ -1,7 +1,7 @@
 //! Settings as typed become settings that can be believed.
 //!
 //! In: text in TOML or YAML. Out: [`Catalogue`], the dyes and dichroics that the program knows by name;
-//! [`Instrument`], what is connected where; [`AnalysisSettings`].
+//! [`Instrument`], what is connected where; [`Registration`], how its cameras see each other; [`AnalysisSettings`].
 //! Never: stops at the first fault of a file, guesses a name, reads a file itself.
 //! Fails: [`Fault`]s with line, key and remedy; [`DyeError`] for names, with the nearest known ones.
 
@@ -10,6 +10,7 @@ mod dyes;
 mod instrument;
 mod judge;
 mod names;
+mod registration;
 mod section;
 mod tree;
 
@@ -20,6 +21,7 @@ pub use instrument::{
     LaserEntry, LaserLink, Limits, PortEntry, Simulation, StageEntry, StageLink, TriggerKind, VirtualEntry,
 };
 pub(crate) use judge::Judge;
+pub use registration::{Registration, RegistrationFaults};
 pub(crate) use section::{Findings, Section};
 pub use sofiscope_form::{Fault, nearest};
 pub(crate) use tree::{Content, Node, Places};

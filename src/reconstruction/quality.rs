@@ -10,6 +10,7 @@
 
 mod blocks;
 mod findings;
+mod partner;
 mod settings;
 
 pub use findings::{BleachingState, LagCheck, Quality, Resolution};
@@ -25,6 +26,7 @@ use crate::sofi::quality::{
 };
 use blocks::{block_means, central};
 use ndarray::Array2;
+use partner::Partner;
 use std::ops::Range;
 
 /// Side of the part that is looked at, camera pixels, unless asked otherwise.
@@ -36,6 +38,8 @@ pub struct QualityMonitor {
     settings: QualitySettings,
     rows: Range<usize>,
     columns: Range<usize>,
+    /// The part of the other camera that shows the same, where cameras do not come aligned.
+    partner: Option<Partner>,
     engine: CumulantEngine<u16>,
     open: Option<u64>,
     distances: Array2<f64>,
@@ -56,11 +60,12 @@ impl QualityMonitor {
     ///
     /// # Errors
     /// [`QualityError`] for settings that cannot be used.
-    pub fn new(settings: QualitySettings) -> Result<Self, QualityError> {
+    pub fn new(mut settings: QualitySettings) -> Result<Self, QualityError> {
         let grid = settings.cumulants.checked_grid()?;
         let channels = settings.cumulants.channels;
         let rows = central(settings.height, settings.central_side);
         let columns = central(settings.width, settings.central_side);
+        let partner = Partner::of(&mut settings.cumulants, &rows, &columns)?;
         let engine = CumulantEngine::new(settings.cumulants.clone(), rows.len(), columns.len())?;
         if let Some(matrix) = &settings.matrix {
             let (rows, order) = (matrix.spectral_channels(), matrix.order());
@@ -95,6 +100,7 @@ impl QualityMonitor {
             settings,
             rows,
             columns,
+            partner,
         })
     }
 
@@ -185,8 +191,10 @@ impl QualityMonitor {
         for (channel, to) in central.iter_mut().enumerate() {
             to.clear();
             for exposure in run {
-                for y in self.rows.clone() {
-                    let row = y * width + self.columns.start..y * width + self.columns.end;
+                let partner = self.partner.as_ref().filter(|_| channel == Partner::CHANNEL);
+                let [top, left] = partner.map_or([self.rows.start, self.columns.start], |p| p.begin);
+                for y in top..top + self.rows.len() {
+                    let row = y * width + left..y * width + left + self.columns.len();
                     to.extend_from_slice(&exposure.planes[channel][row]);
                 }
             }
@@ -195,8 +203,13 @@ impl QualityMonitor {
 
     /// Traces, blocks and saturation of one exposure's central part.
     fn look_at(&mut self, exposure: &Exposure<'_, u16>) {
-        let blocks: Vec<Vec<f64>> =
-            exposure.planes.iter().map(|plane| block_means(plane, self.columns.len())).collect();
+        let means = |(channel, plane): (usize, &&[u16])| match &self.partner {
+            Some(partner) if channel == Partner::CHANNEL => {
+                block_means(&partner.moved(plane), self.columns.len())
+            }
+            _ => block_means(plane, self.columns.len()),
+        };
+        let blocks: Vec<Vec<f64>> = exposure.planes.iter().enumerate().map(means).collect();
         for (plane, trace) in exposure.planes.iter().zip(&mut self.traces) {
             let sum: u64 = plane.iter().map(|&count| u64::from(count)).sum();
             trace.push(exposure.index, sum as f64 / plane.len() as f64);

@@ -2,6 +2,7 @@
 //!
 //! | step | file | paper |
 //! |---|---|---|
+//! | 1: camera T onto camera R | [`registration`] | step 1 |
 //! | which pixels make which virtual pixel | [`grid`] | Fig. 1b |
 //! | 2: running spatio-temporal and spectral cross-cumulants | [`cumulant`] | Eq. 2, S2, S4 |
 //! | 3: species from spectral channels | [`unmixing`], [`spectra`] | Eq. 2, S2, Table S1 |
@@ -20,5 +21,6 @@ pub mod grid;
 pub mod linearization;
 pub mod psf;
 pub mod quality;
+pub mod registration;
 pub mod spectra;
 pub mod unmixing;

@@ -7,8 +7,10 @@ use super::kernel::{Count, Planes};
 use super::layout::Layout;
 use super::moments::RunMoments;
 use super::plan::Plan;
+use super::registered::{Registered, TRANSMITTED};
 use super::settings::{CumulantSettings, SettingsError};
 use super::workers::Workers;
+use crate::sofi::registration::{RegistrationSettings, TransformError};
 use std::collections::VecDeque;
 
 /// One exposure of all channels.
@@ -78,6 +80,7 @@ pub struct CumulantEngine<T> {
     settings: CumulantSettings,
     plan: Plan,
     layout: Layout,
+    registered: Option<Registered>,
     masks: Vec<PixelMask>,
     /// The subsequence that the stream entered in its middle; complete only after a merge with what came before.
     head: Option<RunMoments>,
@@ -110,8 +113,10 @@ impl<T: Count> CumulantEngine<T> {
         }
         let plan = Plan::new(&grid, settings.channels, &settings.relative_lags());
         let layout = Layout::new(height, width);
-        Ok(Self {
-            masks: vec![None; settings.channels],
+        let registered = settings.registration.as_ref().map(|wanted| registered(wanted, &settings, &layout));
+        let mut engine = Self {
+            registered: registered.transpose()?,
+            masks: Vec::new(),
             head: None,
             open: None,
             spare: None,
@@ -123,10 +128,14 @@ impl<T: Count> CumulantEngine<T> {
             settings,
             plan,
             layout,
-        })
+        };
+        engine.set_masks(vec![None; engine.settings.channels]);
+        Ok(engine)
     }
 
     /// Leaves masked pixels out of everything drawn from now on: what needs one of them is NaN.
+    ///
+    /// Masks are of the cameras' own pixels, also of a camera that is registered onto the other.
     ///
     /// # Panics
     /// When there is not one mask per channel, or a mask has not the size of the images.
@@ -135,6 +144,9 @@ impl<T: Count> CumulantEngine<T> {
         assert_eq!(masks.len(), self.settings.channels, "one mask per channel");
         assert!(masks.iter().flatten().all(|mask| mask.dim() == size), "masks of the images' size");
         self.masks = masks;
+        if let Some(registered) = &self.registered {
+            self.masks[TRANSMITTED] = registered.missing(self.masks[TRANSMITTED].as_ref());
+        }
     }
 
     /// The settings of this engine.
@@ -290,7 +302,8 @@ impl<T: Count> CumulantEngine<T> {
         }
         if self.open.is_none() {
             let begin = (run * self.settings.subsequence).max(self.settings.first_exposure);
-            let new = || RunMoments::new(&self.plan, &self.layout, self.settings.subsequence);
+            let (plan, layout, longest) = (&self.plan, &self.layout, self.settings.subsequence);
+            let new = || RunMoments::new(plan, layout, longest, self.registered.as_ref());
             let mut moments = self.spare.take().unwrap_or_else(new);
             moments.restart(run, begin);
             self.open = Some(moments);
@@ -439,6 +452,19 @@ impl<T: Count> CumulantEngine<T> {
         let missing = span.saturating_sub(self.earliest.len());
         self.earliest.extend(later.earliest.iter().take(missing).cloned());
     }
+}
+
+/// The registration made ready, if it is for frames of this size.
+fn registered(
+    wanted: &RegistrationSettings,
+    settings: &CumulantSettings,
+    layout: &Layout,
+) -> Result<Registered, SettingsError> {
+    let (made_for, frames) = (wanted.transform.size, [layout.height, layout.width]);
+    if made_for != frames {
+        return Err(TransformError::Size { made_for, frames }.into());
+    }
+    Ok(Registered::new(wanted, settings.order)?)
 }
 
 fn as_slices<T>((index, planes): &(u64, Vec<Vec<T>>)) -> (u64, Vec<&[T]>) {

@@ -9,6 +9,7 @@ use super::algebra::{LANES, Lanes, Polynomial};
 use super::layout::{Layout, load_row, registers, shifted};
 use super::moments::RunMoments;
 use super::plan::{PlacedSet, Plan, Term};
+use super::registered::{BiasRows, TRANSMITTED};
 use pulp::{Simd, WithSimd};
 
 /// Number of result planes: cumulants by sub-position and spectral channel, then means, then variances.
@@ -90,7 +91,7 @@ fn pair_cumulants(
     band: usize,
     results: &mut [f32],
 ) {
-    let mut rows = PairRows::new(plan, layout);
+    let (mut rows, mut bias) = (PairRows::new(plan, layout), BiasRows::default());
     let (channels, per_sample) = (plan.algebra.channels(), 1.0 / moments.samples as f64);
     let first = plan.accumulators(2);
     for (row, y) in layout.rows(band).enumerate() {
@@ -100,11 +101,18 @@ fn pair_cumulants(
                 *sum += (weight * scale * value) as f32;
             }
         };
+        bias.restart();
         for term in &plan.groups[2] {
             rows.sum_term(plan, layout, moments, term, y as i64);
             for (coefficient, total) in rows.totals.iter().enumerate() {
                 let scale = per_sample * rows.shares[coefficient] / term.sets.len() as f64;
                 add(term.first + coefficient, total, scale);
+            }
+            if let Some(raw) = moments.raw()
+                && bias.fill(raw, layout, moments.samples, term, y as i64)
+            {
+                let both = plan.algebra.product_index(1, 1, TRANSMITTED, TRANSMITTED);
+                add(term.first + both, &bias.row, -1.0);
             }
         }
         for channel in 0..channels {

@@ -10,10 +10,12 @@
 use super::layout::Layout;
 use super::plan::{Plan, Term};
 use super::prefetch::prefetch;
+use super::registered;
 use super::ring::{self, Part, Shape};
 use super::second_order;
 use super::terms::any_order;
 use crate::sofi::grid::Combinations;
+use crate::sofi::registration::Resampler;
 use pulp::{Arch, Simd, WithSimd};
 use std::cell::RefCell;
 use std::ops::Range;
@@ -44,6 +46,9 @@ pub(super) type Planes<'a, T> = Vec<&'a [T]>;
 /// Columns of a strip: few enough that a ring holds many exposures of them.
 const STRIP_COLUMNS: usize = 128;
 
+/// The same where columns beside the strip take longer to make, as for a camera that is registered.
+const REGISTERED_STRIP_COLUMNS: usize = 256;
+
 /// The most numbers that a ring holds, a quarter of the second-level cache.
 const RING_NUMBERS: usize = 64 * 1024;
 
@@ -52,6 +57,7 @@ const GROUP_FRAMES: usize = 8;
 
 thread_local! {
     static RING: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
+    static REGISTERED: RefCell<registered::Rows> = RefCell::default();
 }
 
 /// What every band needs to know of a block.
@@ -62,6 +68,8 @@ pub(super) struct Block<'a, T> {
     pub(super) reference: &'a [Vec<f32>],
     pub(super) samples: &'a [Planes<'a, T>],
     pub(super) shape: Shape,
+    /// Brings the second channel onto the first, where they do not come aligned.
+    pub(super) resampler: Option<&'a Resampler>,
     deltas: &'a Deltas,
 }
 
@@ -72,13 +80,20 @@ impl<'a, T> Block<'a, T> {
         reference: &'a [Vec<f32>],
         samples: &'a [Planes<'a, T>],
     ) -> Self {
-        Self { plan, layout, reference, samples, shape: deltas.shape, deltas }
+        Self { plan, layout, reference, samples, shape: deltas.shape, resampler: None, deltas }
+    }
+
+    /// The same, with the second channel brought onto the first.
+    pub(super) fn registered(self, resampler: &'a Resampler) -> Self {
+        Self { resampler: Some(resampler), ..self }
     }
 }
 
 /// Adds all samples of a block to the sums of one band; `sums[group]` as laid out by [`Layout`].
 pub(super) fn accumulate<T: Count>(block: &Block<'_, T>, band: usize, sums: &mut [&mut [f32]]) {
-    RING.with_borrow_mut(|numbers| dispatch(BandWork { block, band, numbers, sums }));
+    REGISTERED.with_borrow_mut(|registered| {
+        RING.with_borrow_mut(|numbers| dispatch(BandWork { block, band, numbers, registered, sums }));
+    });
 }
 
 /// Runs the work on the widest registers this processor has.
@@ -94,6 +109,7 @@ struct BandWork<'a, 'b, T> {
     block: &'a Block<'a, T>,
     band: usize,
     numbers: &'a mut Vec<f32>,
+    registered: &'a mut registered::Rows,
     sums: &'a mut [&'b mut [f32]],
 }
 
@@ -102,18 +118,18 @@ impl<T: Count> WithSimd for BandWork<'_, '_, T> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { block, band, numbers, sums } = self;
+        let Self { block, band, numbers, registered, sums } = self;
         let cutting = Cutting::new(block, band);
         let numbers = ring::aligned(numbers, block.shape.numbers(cutting.frames));
         for index in 0..cutting.parts() {
             let part = cutting.part(block, index);
             let next = (index + 1 < cutting.parts()).then(|| cutting.part(block, index + 1));
-            ring::begin(block, &part, numbers);
+            ring::begin(simd, block, &part, registered, numbers);
             for row in 0..part.rows.len() {
                 if let Some(next) = next.as_ref().filter(|next| next.columns != part.columns) {
                     prefetch_sums(block, next, row, sums);
                 }
-                ring::advance(block, (&part, next.as_ref()), row, numbers);
+                ring::advance(simd, block, (&part, next.as_ref()), row, registered, numbers);
                 let rows = Rows {
                     numbers,
                     shape: block.shape,
@@ -141,7 +157,13 @@ impl Cutting {
         let most = (RING_NUMBERS / block.shape.frame).max(4);
         let chunks = samples.div_ceil(most);
         let frames = samples.div_ceil(chunks.max(1));
-        Self { rows: block.layout.rows(band), columns: width.min(STRIP_COLUMNS), width, frames, chunks }
+        Self {
+            rows: block.layout.rows(band),
+            columns: width.min(block.shape.columns()),
+            width,
+            frames,
+            chunks,
+        }
     }
 
     fn parts(&self) -> usize {
@@ -211,8 +233,9 @@ pub(super) struct Deltas {
 }
 
 impl Deltas {
-    pub(super) fn new(plan: &Plan, layout: &Layout) -> Self {
-        let shape = Shape::new(plan, layout.stride.min(STRIP_COLUMNS));
+    pub(super) fn new(plan: &Plan, layout: &Layout, registered: bool) -> Self {
+        let columns = if registered { REGISTERED_STRIP_COLUMNS } else { STRIP_COLUMNS };
+        let shape = Shape::new(plan, layout.stride.min(columns));
         let of_term = |turn: usize, term: &Term| {
             let elements = term.sets.iter().flat_map(|set| &set.elements);
             elements.map(|element| shape.element(turn, element)).collect()

@@ -31,6 +31,7 @@ mod layout;
 mod moments;
 mod plan;
 mod prefetch;
+mod registered;
 mod ring;
 mod second_order;
 mod settings;

@@ -10,6 +10,7 @@ use super::algebra::{LANES, Lanes};
 use super::kernel::{Block, Count, Deltas, Planes, accumulate};
 use super::layout::Layout;
 use super::plan::Plan;
+use super::registered::{RawSums, Registered, TRANSMITTED, add_raw};
 use super::shift::shift_sums;
 use super::workers::Workers;
 
@@ -41,23 +42,26 @@ pub(super) struct RunMoments {
     shifts: Vec<Vec<f32>>,
     chunk: Groups<f32>,
     long: Option<Groups<f64>>,
+    /// Sums of the raw pixels of a camera that is registered onto the other.
+    raw: Option<RawSums>,
 }
 
 impl RunMoments {
     /// State for subsequences of at most `longest` samples.
-    pub(super) fn new(plan: &Plan, layout: &Layout, longest: u64) -> Self {
+    pub(super) fn new(plan: &Plan, layout: &Layout, longest: u64, registered: Option<&Registered>) -> Self {
         let zeroed = |group: usize| layout.zeroed(plan.accumulators(group));
         Self {
             run: 0,
             samples: 0,
             begin: 0,
             end: 0,
-            deltas: Deltas::new(plan, layout),
+            deltas: Deltas::new(plan, layout, registered.is_some()),
             reference: vec![vec![0.0; layout.height * layout.stride]; plan.algebra.channels()],
             shifts: vec![vec![0.0; layout.height * layout.stride]; plan.algebra.channels()],
             chunk: (0..=plan.order).map(zeroed).collect(),
             long: (longest > CHUNK)
                 .then(|| (0..=plan.order).map(|group| layout.zeroed(plan.accumulators(group))).collect()),
+            raw: registered.map(|registered| registered.raw_sums(layout)),
         }
     }
 
@@ -66,6 +70,7 @@ impl RunMoments {
         (self.run, self.samples, self.begin, self.end) = (run, 0, begin, begin);
         self.chunk.iter_mut().flatten().for_each(|sums| sums.fill(0.0));
         self.long.iter_mut().flatten().flatten().for_each(|sums| sums.fill(0.0));
+        self.raw.iter_mut().for_each(RawSums::clear);
     }
 
     /// Bytes of this state.
@@ -73,7 +78,8 @@ impl RunMoments {
         let long = self.long.iter().flatten().flatten().map(|sums| sums.len() * size_of::<f64>());
         let chunk = self.chunk.iter().flatten().map(|sums| sums.len() * size_of::<f32>());
         let pixels = self.reference.iter().chain(&self.shifts).map(|plane| plane.len() * size_of::<f32>());
-        long.chain(chunk).chain(pixels).sum()
+        let raw = self.raw.iter().map(RawSums::bytes);
+        long.chain(chunk).chain(pixels).chain(raw).sum()
     }
 
     /// Adds samples in the order of time.
@@ -91,7 +97,26 @@ impl RunMoments {
             let (now, later) = samples.split_at(samples.len().min(self.until_next_step(plan.order) as usize));
             let block = Block::new((plan, &self.deltas), *layout, &self.reference, now);
             let mut bands = bands_of(&mut self.chunk);
-            workers.for_each(&mut bands, |band, sums| accumulate(&block, band, sums));
+            match &mut self.raw {
+                None => workers.for_each(&mut bands, |band, sums| accumulate(&block, band, sums)),
+                Some(RawSums { registered, bands: raw }) => {
+                    let block = block.registered(&registered.resampler);
+                    // Rows of T are summed while they are still in the caches.
+                    let partner = |band: usize| registered.raw_band(layout, band);
+                    let mut raw: Vec<Option<&mut Vec<f64>>> = raw.iter_mut().map(Some).collect();
+                    let mut bands: Vec<_> = bands
+                        .into_iter()
+                        .enumerate()
+                        .map(|(band, sums)| (sums, raw[partner(band)].take()))
+                        .collect();
+                    workers.for_each(&mut bands, |band, (sums, raw)| {
+                        accumulate(&block, band, sums);
+                        if let Some(raw) = raw {
+                            add_raw(now, layout, partner(band), raw);
+                        }
+                    });
+                }
+            }
             self.samples += now.len() as u64;
             if recenterings(plan.order).contains(&self.samples) {
                 self.recenter(workers, plan, layout);
@@ -110,7 +135,11 @@ impl RunMoments {
     }
 
     fn refer_to_frame<T: Count>(&mut self, layout: &Layout, planes: &Planes<'_, T>) {
-        for (reference, frame) in self.reference.iter_mut().zip(planes) {
+        for (channel, (reference, frame)) in self.reference.iter_mut().zip(planes).enumerate() {
+            if let (TRANSMITTED, Some(raw)) = (channel, &self.raw) {
+                refer_to_nearest(&raw.registered, layout, frame, reference);
+                continue;
+            }
             for (line, pixels) in
                 reference.chunks_exact_mut(layout.stride).zip(frame.chunks_exact(layout.width))
             {
@@ -158,7 +187,7 @@ impl RunMoments {
         let mut later = later.clone();
         if self.samples == 0 {
             (self.samples, self.reference) = (later.samples, later.reference);
-            (self.chunk, self.long) = (later.chunk, later.long);
+            (self.chunk, self.long, self.raw) = (later.chunk, later.long, later.raw);
             return;
         }
         let shifts: Vec<Vec<f32>> = self
@@ -178,6 +207,9 @@ impl RunMoments {
                 shift_sums(&mut later.chunk, workers, plan, layout, &shifts, later.samples);
                 add_all(&mut self.chunk, &later.chunk);
             }
+        }
+        if let (Some(ours), Some(theirs)) = (&mut self.raw, &later.raw) {
+            ours.merge(theirs);
         }
         self.samples += later.samples;
     }
@@ -211,9 +243,24 @@ impl RunMoments {
         true
     }
 
+    /// Sums of raw pixels, where a camera is registered.
+    pub(super) fn raw(&self) -> Option<&RawSums> {
+        self.raw.as_ref()
+    }
+
     /// Reference of one channel, counts.
     pub(super) fn reference(&self, channel: usize) -> &[f32] {
         &self.reference[channel]
+    }
+}
+
+/// The raw pixels nearest to those of R, in whole counts.
+fn refer_to_nearest<T: Count>(registered: &Registered, layout: &Layout, frame: &[T], reference: &mut [f32]) {
+    for (y, line) in reference.chunks_exact_mut(layout.stride).enumerate() {
+        for (x, reference) in line.iter_mut().take(layout.width).enumerate() {
+            let (row, column) = registered.resampler.nearest(y, x);
+            *reference = frame[row * layout.width + column].counts();
+        }
     }
 }
 

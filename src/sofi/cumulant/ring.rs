@@ -9,6 +9,9 @@
 use super::kernel::{Block, Count, Planes};
 use super::plan::{Element, Halo, Plan};
 use super::prefetch::{LINE_BYTES, prefetch};
+use super::registered::{Rows, TRANSMITTED};
+use crate::sofi::registration::Resampler;
+use pulp::Simd;
 use std::ops::Range;
 
 /// Columns kept on either side of a strip: one register, so that they are converted like all others.
@@ -25,6 +28,8 @@ pub(super) struct Shape {
     /// Distance between the planes of one exposure.
     pub(super) plane: usize,
     row: usize,
+    /// Columns of a strip.
+    columns: usize,
     /// Rows that are kept.
     depth: usize,
     halo: Halo,
@@ -38,12 +43,18 @@ impl Shape {
         let (row, depth, channels) =
             (columns + 2 * PADDING, halo.up + 1 + halo.down, plan.algebra.channels());
         let plane = row * depth;
-        Self { frame: plane * plan.lags.len() * channels, plane, row, depth, halo, channels }
+        Self { frame: plane * plan.lags.len() * channels, plane, row, columns, depth, halo, channels }
     }
 
     /// Numbers of memory that hold this many exposures, wherever that memory begins.
     pub(super) fn numbers(&self, frames: usize) -> usize {
         self.frame * frames + PADDING
+    }
+
+    /// Columns of a strip.
+    #[inline(always)]
+    pub(super) fn columns(&self) -> usize {
+        self.columns
     }
 
     /// Channels of every exposure.
@@ -84,6 +95,15 @@ pub(super) struct Part<'a, T> {
     pub(super) samples: &'a [Planes<'a, T>],
 }
 
+/// The pixels of T that a part of a row of R needs and the row above it did not.
+#[inline(always)]
+fn partner(resampler: &Resampler, y: usize, columns: Range<usize>) -> Range<usize> {
+    let width = resampler.size()[1];
+    let [first, last] = [columns.start, columns.end.saturating_sub(1)].map(|x| resampler.nearest(y + 3, x));
+    let (left, right) = (first.1.min(last.1), first.1.max(last.1));
+    first.0 * width + left..first.0 * width + right + 1
+}
+
 /// The memory of a ring, beginning on a cache line.
 pub(super) fn aligned(memory: &mut Vec<f32>, numbers: usize) -> &mut [f32] {
     memory.resize(memory.len().max(numbers), 0.0);
@@ -113,9 +133,14 @@ impl<T: Count> Part<'_, T> {
         let beside = LINE_BYTES / size_of::<T>();
         let end = width.min(self.columns.end + beside);
         let start = if self.columns.start == 0 { 0 } else { end.min(self.columns.start + beside) };
+        let channels = block.shape.channels;
+        let partner = block.resampler.map(|resampler| partner(resampler, y, start..end));
         for sample in self.samples {
-            for pixels in sample {
-                prefetch(&pixels[y * width + start..y * width + end]);
+            for (index, pixels) in sample.iter().enumerate() {
+                match &partner {
+                    Some(partner) if index % channels == TRANSMITTED => prefetch(&pixels[partner.clone()]),
+                    _ => prefetch(&pixels[y * width + start..y * width + end]),
+                }
             }
         }
     }
@@ -123,18 +148,26 @@ impl<T: Count> Part<'_, T> {
 
 /// Converts the lines that the first row of a part needs, but for the last of them.
 #[inline(always)]
-pub(super) fn begin<T: Count>(block: &Block<'_, T>, part: &Part<'_, T>, numbers: &mut [f32]) {
+pub(super) fn begin<S: Simd, T: Count>(
+    simd: S,
+    block: &Block<'_, T>,
+    part: &Part<'_, T>,
+    rows: &mut Rows,
+    numbers: &mut [f32],
+) {
     for line in 0..block.plan.halo.up + block.plan.halo.down {
-        convert_line(block, part, line, numbers);
+        convert_line(simd, block, part, line, rows, numbers);
     }
 }
 
 /// Converts the last line that products at `row` need, and asks for the pixels that are converted after it.
 #[inline(always)]
-pub(super) fn advance<T: Count>(
+pub(super) fn advance<S: Simd, T: Count>(
+    simd: S,
     block: &Block<'_, T>,
     (part, next): (&Part<'_, T>, Option<&Part<'_, T>>),
     row: usize,
+    rows: &mut Rows,
     numbers: &mut [f32],
 ) {
     let before = block.plan.halo.up + block.plan.halo.down;
@@ -146,12 +179,19 @@ pub(super) fn advance<T: Count>(
             next.prefetch_line(block, line);
         }
     }
-    convert_line(block, part, line, numbers);
+    convert_line(simd, block, part, line, rows, numbers);
 }
 
 /// Converts one row of a part, lines counted from the first one above it; zero outside the camera region.
 #[inline(always)]
-fn convert_line<T: Count>(block: &Block<'_, T>, part: &Part<'_, T>, line: usize, numbers: &mut [f32]) {
+fn convert_line<S: Simd, T: Count>(
+    simd: S,
+    block: &Block<'_, T>,
+    part: &Part<'_, T>,
+    line: usize,
+    rows: &mut Rows,
+    numbers: &mut [f32],
+) {
     let (shape, layout) = (&block.shape, block.layout);
     let (y, columns) = match part.camera_row(block, line) {
         Some(y) => {
@@ -161,15 +201,25 @@ fn convert_line<T: Count>(block: &Block<'_, T>, part: &Part<'_, T>, line: usize,
     };
     let left = (columns.start + PADDING).saturating_sub(part.columns.start);
     let start = line % shape.depth * shape.row;
+    let resampler = block.resampler.filter(|_| !columns.is_empty());
+    if let Some(resampler) = resampler {
+        rows.prepare(resampler, y, columns.start, columns.len());
+    }
     for (sample, frame) in part.samples.iter().zip((start..).step_by(shape.frame)) {
         for (index, (pixels, start)) in sample.iter().zip((frame..).step_by(shape.plane)).enumerate() {
             let (before, target) = numbers[start..start + shape.row].split_at_mut(left);
             let (target, behind) = target.split_at_mut(columns.len());
             before.fill(0.0);
             behind.fill(0.0);
-            let pixels = &pixels[y * layout.width..][columns.clone()];
-            let reference = &block.reference[index % shape.channels][y * layout.stride..][columns.clone()];
-            subtract(target, pixels, reference);
+            let channel = index % shape.channels;
+            let reference = &block.reference[channel][y * layout.stride..][columns.clone()];
+            match resampler.filter(|_| channel == TRANSMITTED) {
+                Some(resampler) => {
+                    rows.fill(simd, resampler, pixels);
+                    subtract(target, &rows.values[..columns.len()], reference);
+                }
+                None => subtract(target, &pixels[y * layout.width..][columns.clone()], reference),
+            }
         }
     }
 }

@@ -1,12 +1,13 @@
 //! What an engine must know before the first exposure.
 
 use crate::sofi::grid::{Combinations, GridError, VirtualPixelGrid};
+use crate::sofi::registration::{RegistrationSettings, TransformError};
 
 /// Most channels that one engine takes.
 const MOST_CHANNELS: usize = 4;
 
 /// Settings of a cumulant engine.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct CumulantSettings {
     /// Cumulant order, 2 to 6.
     pub order: usize,
@@ -20,10 +21,12 @@ pub struct CumulantSettings {
     pub lags: Vec<u64>,
     /// Exposure at which the stream begins; exposures before it belong to somebody else's state.
     pub first_exposure: u64,
+    /// How the second of two channels is brought onto the first; `None` where they come aligned.
+    pub registration: Option<RegistrationSettings>,
 }
 
 /// Why settings cannot be used.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SettingsError {
     /// The grid refuses order or combinations.
     #[error(transparent)]
@@ -31,6 +34,12 @@ pub enum SettingsError {
     /// Too few or too many channels.
     #[error("{0} channels cannot be analyzed together; take 1 to 4")]
     Channels(usize),
+    /// Registration is between two cameras.
+    #[error("a registration needs two cameras, and {0} are analyzed; leave it out")]
+    RegisteredChannels(usize),
+    /// The registration cannot be used.
+    #[error(transparent)]
+    Registration(#[from] TransformError),
     /// A subsequence has no variance with fewer than two exposures.
     #[error("a subsequence of {0} exposures is too short; take at least 2, in practice 100 to 500")]
     Subsequence(u64),
@@ -67,7 +76,15 @@ impl CumulantSettings {
     #[must_use]
     pub fn new(order: usize, channels: usize, subsequence: u64) -> Self {
         let combinations = Combinations::default();
-        Self { order, channels, subsequence, combinations, lags: Vec::new(), first_exposure: 0 }
+        Self {
+            order,
+            channels,
+            subsequence,
+            combinations,
+            lags: Vec::new(),
+            first_exposure: 0,
+            registration: None,
+        }
     }
 
     /// The virtual-pixel grid of these settings.
@@ -78,6 +95,9 @@ impl CumulantSettings {
         let grid = VirtualPixelGrid::new(self.order, self.combinations)?;
         if !(1..=MOST_CHANNELS).contains(&self.channels) {
             return Err(SettingsError::Channels(self.channels));
+        }
+        if self.registration.is_some() && self.channels != 2 {
+            return Err(SettingsError::RegisteredChannels(self.channels));
         }
         if self.subsequence < 2 {
             return Err(SettingsError::Subsequence(self.subsequence));
