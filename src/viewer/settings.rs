@@ -20,7 +20,7 @@ pub enum Side {
 impl Side {
     /// All of them with their names.
     pub const ALL: [(Self, &'static str); 4] =
-        [(Self::Live, "Live"), (Self::Plan, "Plan"), (Self::Devices, "Instrument"), (Self::Replay, "Replay")];
+        [(Self::Live, "Live view"), (Self::Plan, "Plan"), (Self::Devices, "Instrument"), (Self::Replay, "Replay")];
 }
 
 /// The panel at the bottom.
