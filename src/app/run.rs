@@ -179,11 +179,15 @@ fn set_up(arguments: &RunArguments) -> Result<Setup, AppError> {
         return Err(refused(&arguments.plan, &list.join("; ")));
     }
     let is_simulated = instrument.cameras().iter().any(|camera| camera.kind == CameraKind::Simulated);
-    let (rig, source, patience) = if is_simulated {
+    let (rig, mut source, patience) = if is_simulated {
         open(&plan, &instrument, &instrument_path)?
     } else {
         open_hardware(&plan, &instrument, &instrument_text)?
     };
+    if let Some(file) = instrument.registration_file() {
+        let beside = instrument_path.parent().unwrap_or(Path::new("")).join(file);
+        source.registration = Some(read_text(&beside, MOST_BYTES)?);
+    }
     let texts = vec![("plan.yaml".to_owned(), plan_text), ("instrument.toml".to_owned(), instrument_text)];
     Ok(Setup { plan, texts, rig, source, patience })
 }
