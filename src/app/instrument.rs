@@ -93,6 +93,8 @@ pub(super) struct About {
     /// Rows and columns of the simulated sample.
     scene: Option<(String, [usize; 2])>,
     species: Option<Vec<Species>>,
+    /// Text of the registration of camera T onto camera R that the instrument file names.
+    registration: Option<String>,
     pixel_pitch_nm: f64,
     regions: [Option<Region>; 2],
 }
@@ -109,7 +111,16 @@ impl OpenInstrument {
         sample: Sample,
     ) -> Result<Self, AppError> {
         let is_simulated = instrument.cameras().iter().any(|camera| camera.kind == CameraKind::Simulated);
-        if is_simulated { simulated(instrument, path, sample) } else { real(instrument, text) }
+        // A registration that cannot be read is told before any device is touched.
+        let registration = instrument.registration_file().map(|file| {
+            let beside = path.parent().unwrap_or(Path::new("")).join(file);
+            read_text(&beside, MOST_BYTES)
+        });
+        let registration = registration.transpose()?;
+        let mut open =
+            if is_simulated { simulated(instrument, path, sample)? } else { real(instrument, text)? };
+        open.about.registration = registration;
+        Ok(open)
     }
 }
 
@@ -157,7 +168,7 @@ impl About {
             simulated: self.label != Label::Real,
             species: self.species.clone(),
             serials: self.facts.identities.each_ref().map(|identity| Some(identity.serial.clone())),
-            registration: None,
+            registration: self.registration.clone(),
         }
     }
 
@@ -238,6 +249,7 @@ fn real(instrument: &Instrument, text: &str) -> Result<OpenInstrument, AppError>
         lights,
         scene: None,
         species: None,
+        registration: None,
         pixel_pitch_nm: instrument.pixel_pitch_nm(),
         regions: Channel::BOTH.map(|channel| instrument.camera(channel).and_then(|camera| camera.region)),
     };
@@ -286,6 +298,7 @@ fn simulated(instrument: &Instrument, path: &Path, lasts: Sample) -> Result<Open
         stage,
         lights: None,
         species: Some(species_of(&world)?),
+        registration: None,
         scene: Some((scene.name().to_owned(), [scene.height_px(), scene.width_px()])),
         pixel_pitch_nm: instrument.pixel_pitch_nm(),
         regions: Channel::BOTH.map(|channel| instrument.camera(channel).and_then(|camera| camera.region)),

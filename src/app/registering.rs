@@ -28,7 +28,9 @@ pub(super) fn registered(
 ) -> Result<Option<Registered>, AppError> {
     let (text, place) = match (&settings.registration_file, &source.registration) {
         (Some(path), _) => (read_text(path, MOST_BYTES)?, path.display().to_string()),
-        (None, Some(text)) => (text.clone(), "the registration of the recording".to_owned()),
+        (None, Some(text)) => {
+            (text.clone(), "the registration of the instrument or the recording".to_owned())
+        }
         (None, None) => return Ok(None),
     };
     let refused = |reason: &dyn std::fmt::Display| AppError::Usage(format!("{place}: {reason}"));

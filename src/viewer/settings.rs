@@ -19,8 +19,12 @@ pub enum Side {
 
 impl Side {
     /// All of them with their names.
-    pub const ALL: [(Self, &'static str); 4] =
-        [(Self::Live, "Live view"), (Self::Plan, "Plan"), (Self::Devices, "Instrument"), (Self::Replay, "Replay")];
+    pub const ALL: [(Self, &'static str); 4] = [
+        (Self::Live, "Live view"),
+        (Self::Plan, "Plan"),
+        (Self::Devices, "Instrument"),
+        (Self::Replay, "Replay"),
+    ];
 }
 
 /// The panel at the bottom.

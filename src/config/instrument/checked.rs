@@ -73,6 +73,7 @@ impl Check<'_> {
             numerical_aperture: aperture
                 .map(|value| self.judge.within("numerical_aperture", value, 0.01, 2.0)),
             dichroic: raw.top.dichroic.clone(),
+            registration_file: raw.top.registration_file.clone(),
             limits,
             hardware,
             simulation,

@@ -127,6 +127,7 @@ pub struct Instrument {
     pixel_pitch_nm: f64,
     numerical_aperture: Option<f64>,
     dichroic: Option<String>,
+    registration_file: Option<String>,
     limits: Limits,
     hardware: Hardware,
     simulation: Option<Simulation>,
@@ -195,6 +196,12 @@ impl Instrument {
     #[must_use]
     pub fn dichroic(&self) -> Option<&str> {
         self.dichroic.as_deref()
+    }
+
+    /// The file of the registration of camera T onto camera R, from this file's folder; where given.
+    #[must_use]
+    pub fn registration_file(&self) -> Option<&str> {
+        self.registration_file.as_deref()
     }
 
     /// What must not be exceeded.

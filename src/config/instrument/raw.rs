@@ -19,6 +19,7 @@ pub(crate) struct RawTop {
     pub(crate) pixel_pitch_nm: Option<f64>,
     pub(crate) numerical_aperture: Option<f64>,
     pub(crate) dichroic: Option<String>,
+    pub(crate) registration_file: Option<String>,
 }
 
 /// `[camera.reflected]` and `[camera.transmitted]`.

@@ -132,10 +132,10 @@ fn stage_controls(
             .labelled_by(label.id);
         let step = form.step_um;
         for (text, hover, by) in [
-            ("◀", "Move left", [-step, 0.0]),
-            ("▶", "Move right", [step, 0.0]),
-            ("▲", "Move up", [0.0, -step]),
-            ("▼", "Move down", [0.0, step]),
+            ("left", "Move left", [-step, 0.0]),
+            ("right", "Move right", [step, 0.0]),
+            ("up", "Move up", [0.0, -step]),
+            ("down", "Move down", [0.0, step]),
         ] {
             if ui.button(text).on_hover_text(hover).clicked() {
                 go([here[0] + by[0], here[1] + by[1]]);
