@@ -47,7 +47,7 @@ impl OneCamera {
         let mut histogram = vec![0_u32; HISTOGRAM_BINS];
         let (mut lowest, mut highest, mut sum, mut saturated) = (u16::MAX, 0, 0_u64, 0_u64);
         for &count in counts {
-            histogram[usize::from(count) * HISTOGRAM_BINS >> 16] += 1;
+            histogram[(usize::from(count) * HISTOGRAM_BINS) >> 16] += 1;
             lowest = lowest.min(count);
             highest = highest.max(count);
             sum += u64::from(count);

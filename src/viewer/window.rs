@@ -4,7 +4,7 @@
 
 use super::bench::{Activity, Bench, BenchCommand, BenchStatus, Gravity, Pictures};
 use super::canvas::{Canvas, Done};
-use super::panels::{self, LiveForm, PlanForm, ReplayForm, StageForm, Wishes};
+use super::panels::{self, LiveForm, Own, PlanForm, ReplayForm, StageForm, Wishes};
 use super::plane::layers;
 use super::settings::{Below, Side, WindowSettings};
 use super::view::{History, Subject, View};
@@ -211,7 +211,9 @@ impl Window {
         if plain(Key::F) {
             wishes.ask(BenchCommand::Finish);
         }
-        wishes.save |= plain(Key::S);
+        if plain(Key::S) {
+            wishes.own.push(Own::Save);
+        }
         if plain(Key::C) {
             self.settings.shows_cameras = !self.settings.shows_cameras;
         }
@@ -405,18 +407,27 @@ impl Window {
         for command in wishes.commands {
             self.ask(command);
         }
-        if wishes.judge_plan {
-            let judgment = self.bench.judge_plan(&self.plan.text);
-            self.plan.judged = Some((self.plan.text.clone(), judgment));
+        for own in wishes.own {
+            self.obey_own(own, status);
         }
-        if wishes.save && status.instrument.is_some() {
-            self.ask(BenchCommand::SaveResults(panels::suggested("sofiscope-images").into()));
+    }
+
+    fn obey_own(&mut self, own: Own, status: &BenchStatus) {
+        match own {
+            Own::JudgePlan => {
+                let judgment = self.bench.judge_plan(&self.plan.text);
+                self.plan.judged = Some((self.plan.text.clone(), judgment));
+            }
+            Own::Save if status.instrument.is_some() => {
+                self.ask(BenchCommand::SaveResults(panels::suggested("sofiscope-images").into()));
+            }
+            Own::Save => {}
+            Own::ResetLayout => {
+                let is_dark = self.settings.is_dark;
+                self.settings = WindowSettings { is_dark, ..WindowSettings::default() };
+            }
+            Own::Shortcuts => self.shows_shortcuts = true,
         }
-        if wishes.reset_layout {
-            let is_dark = self.settings.is_dark;
-            self.settings = WindowSettings { is_dark, ..WindowSettings::default() };
-        }
-        self.shows_shortcuts |= wishes.shortcuts;
     }
 
     fn ask(&mut self, command: BenchCommand) {

@@ -175,7 +175,7 @@ impl Session {
         let event = live_event(settings);
         let options = path_options(&prepared, &known.about.facts, known.about.patience);
         let outline = RunOutline { series: 1, period: settings.exposure, ..RunOutline::default() };
-        let mut acquired = self.take(&known.instrument, options, vec![event], outline, Activity::Live)?;
+        let mut acquired = self.take(&known.instrument, options, vec![event], outline, &Activity::Live)?;
         if let Some(result) = acquired.results.pop() {
             self.last_live = Some((result, prepared));
         }
@@ -207,7 +207,7 @@ impl Session {
             std::fs::create_dir(out).map_err(failed)?;
         }
         let events = plan.events().collect();
-        let mut acquired = self.take(&known.instrument, options, events, outline, Activity::Run)?;
+        let mut acquired = self.take(&known.instrument, options, events, outline, &Activity::Run)?;
         let Kept { ended, summaries, failure } = keep(&mut acquired, &prepared, out)?;
         self.shared.tell(Gravity::Note, format!("{}; {}", ended.line(), ended.ended));
         if !summaries.is_empty() || ended.recording.is_some() {
@@ -235,7 +235,7 @@ impl Session {
             ..RunOutline::default()
         };
         let label = if simulated { " (SIMULATED data)" } else { "" };
-        let (mut acquired, _) = self.run_with(devices, options, vec![event], outline, Activity::Replay);
+        let (mut acquired, _) = self.run_with(devices, options, vec![event], outline, &Activity::Replay);
         self.shared.tell(Gravity::Note, format!("replay{label}: {}", acquired.ended(simulated).line()));
         if let Some(result) = acquired.results.pop() {
             self.last_live = Some((result, prepared));
@@ -254,7 +254,7 @@ impl Session {
         options: PathOptions,
         events: Vec<AcquisitionEvent>,
         outline: RunOutline,
-        activity: Activity,
+        activity: &Activity,
     ) -> Result<Acquired, AppError> {
         let devices = self.devices.take().ok_or_else(nothing_open)?;
         let has_no_guard = self.shared.lights.load().is_none();
@@ -276,7 +276,7 @@ impl Session {
         options: PathOptions,
         events: Vec<AcquisitionEvent>,
         outline: RunOutline,
-        activity: Activity,
+        activity: &Activity,
     ) -> (Acquired, Devices) {
         // Whatever was meant for an earlier run is not meant for this one.
         self.to_run.try_iter().for_each(drop);
@@ -286,7 +286,7 @@ impl Session {
         shared.run.store(Arc::new(RunNumbers::default()));
         shared.activity.store(Arc::new(activity.clone()));
         // A replay does not know when its cameras were saturated but at the end of their range.
-        let known = shared.known.load_full().filter(|_| activity != Activity::Replay);
+        let known = shared.known.load_full().filter(|_| *activity != Activity::Replay);
         let saturation_counts = known.map_or([u16::MAX; 2], |known| known.about.facts.saturation_counts);
         let onlooker = Onlooker { board: Arc::clone(&shared.board), every: LOOK_EVERY, saturation_counts };
         let options = PathOptions { onlooker: Some(onlooker), ..options };
@@ -304,7 +304,7 @@ impl Session {
             }
             let free = disk.free(begun.elapsed());
             shared.run.store(Arc::new(counter.numbers(status, &numbers, begun.elapsed(), free)));
-            let now = match (status.phase, &activity) {
+            let now = match (status.phase, activity) {
                 (RunPhase::Draining(_) | RunPhase::Closing(_), _) => Activity::Ending,
                 (RunPhase::Paused, Activity::Run) => Activity::Paused,
                 (_, activity) => activity.clone(),

@@ -1,6 +1,6 @@
 //! The live view: exposure, order, dyes, region, presets.
 
-use super::{Wishes, heading};
+use super::{Own, Wishes, heading};
 use crate::viewer::bench::{Activity, BenchCommand, BenchStatus, InstrumentCard, LiveSettings};
 use egui::{Button, ComboBox, DragValue, RichText, TextEdit, Ui, Vec2};
 use std::time::Duration;
@@ -53,7 +53,7 @@ pub(in crate::viewer) fn live(
     let hover =
         "Write every image of the running or last view as OME-TIFF, with a picture, into a new directory (S)";
     if ui.add_enabled(can_save, save).on_hover_text(hover).clicked() {
-        wishes.save = true;
+        wishes.own.push(Own::Save);
     }
     if let Some(saved) = &status.last_saved {
         ui.label(RichText::new(format!("last saved: {}", saved.display())).small());

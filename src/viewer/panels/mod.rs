@@ -25,16 +25,25 @@ use super::bench::{BenchCommand, Gravity};
 use egui::{Color32, RichText, Ui};
 use std::time::Duration;
 
+/// What the window itself is asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Own {
+    /// Judge the text of the plan.
+    JudgePlan,
+    /// Save images under a suggested name.
+    Save,
+    /// The layout as it was at first.
+    ResetLayout,
+    /// Show the list of keys.
+    Shortcuts,
+}
+
 /// What the person asks for in this look at the window.
 #[derive(Debug, Default)]
 pub(super) struct Wishes {
     pub(super) commands: Vec<BenchCommand>,
+    pub(super) own: Vec<Own>,
     pub(super) stop: bool,
-    /// A text to copy into the plan's editor, or to judge.
-    pub(super) judge_plan: bool,
-    pub(super) save: bool,
-    pub(super) reset_layout: bool,
-    pub(super) shortcuts: bool,
 }
 
 impl Wishes {

@@ -1,6 +1,6 @@
 //! Plans: chosen or typed, judged, begun.
 
-use super::{Wishes, color_of, heading, in_bytes, in_words, suggested};
+use super::{Own, Wishes, color_of, heading, in_bytes, in_words, suggested};
 use crate::viewer::bench::{Activity, BenchCommand, BenchStatus, InstrumentCard, PlanEstimate};
 use egui::{Button, RichText, ScrollArea, TextEdit, Ui, Vec2};
 
@@ -53,7 +53,7 @@ pub(in crate::viewer) fn plan(
     let may_begin = is_judged && matches!(&form.judged, Some((_, Ok(estimate))) if estimate.may_begin);
     ui.horizontal(|ui| {
         if ui.button("Check plan").on_hover_text("Pre-flight: disk, memory, limits, dyes").clicked() {
-            wishes.judge_plan = true;
+            wishes.own.push(Own::JudgePlan);
         }
         let is_free = matches!(status.activity, Activity::Idle | Activity::Live | Activity::Replay);
         let run = Button::new(RichText::new("Run").size(17.0)).min_size(Vec2::new(110.0, 32.0));

@@ -1,6 +1,6 @@
 //! The bar at the top: which instrument, what it does, what was lost, and STOP in its place.
 
-use super::{Wishes, color_of};
+use super::{Own, Wishes, color_of};
 use crate::viewer::bench::{Activity, BenchCommand, BenchStatus, Gravity};
 use crate::viewer::settings::WindowSettings;
 use egui::{Align, Button, Color32, Layout, RichText, Ui, Vec2};
@@ -60,10 +60,10 @@ pub(in crate::viewer) fn top(
                     }
                 });
                 if ui.button("Reset layout").clicked() {
-                    wishes.reset_layout = true;
+                    wishes.own.push(Own::ResetLayout);
                 }
                 if ui.button("Keyboard shortcuts (F1)").clicked() {
-                    wishes.shortcuts = true;
+                    wishes.own.push(Own::Shortcuts);
                 }
                 if status.instrument.is_some() && ui.button("Close instrument").clicked() {
                     wishes.ask(BenchCommand::CloseInstrument);
