@@ -92,6 +92,9 @@ impl Registration {
             self.points_left_out,
         );
         for (key, camera) in [("reflected_points_px", 1), ("transmitted_points_px", 0)] {
+            if self.points.is_empty() {
+                continue;
+            }
             let _ = writeln!(text, "{key} = [");
             for point in &self.points {
                 let [y, x] = point[camera];

@@ -364,9 +364,16 @@ mod tests {
         };
         let [r, t] = blinking(&truth, 192);
         let mut coarse = CoarseCorrelation::new(truth.size);
-        let as_f32 = |frame: &Vec<u16>| -> Vec<f32> { frame.iter().map(|&c| f32::from(c) - 108.0).collect() };
+        let mean = |frames: &[Vec<u16>]| -> Vec<f32> {
+            let sum = |place: usize| frames.iter().map(|frame| f32::from(frame[place])).sum::<f32>();
+            (0..96 * 96).map(|place| sum(place) / frames.len() as f32).collect()
+        };
+        let means = [mean(&r), mean(&t)];
+        let centered = |frame: &[u16], mean: &[f32]| -> Vec<f32> {
+            frame.iter().zip(mean).map(|(&count, mean)| f32::from(count) - mean).collect()
+        };
         for (r, t) in r.iter().zip(&t).take(64) {
-            coarse.push(&as_f32(r), &as_f32(t));
+            coarse.push(&centered(r, &means[0]), &centered(t, &means[1]));
         }
         let (mirror, shift) = coarse.best().unwrap();
         assert_eq!(mirror, truth.mirror);
