@@ -225,7 +225,7 @@ mod tests {
             // The divider is a white line from top to bottom.
             let image = result(width, pixels);
             (0..520).any(|column| {
-                (0..400).all(|row| count(&[image[row * 520 + column]], |[r, g, b]| r + g + b > 600) == 1)
+                (0..400).all(|row| count(&[image[row * 520 + column]], |[r, g, b]| r + g + b > 500) == 1)
             })
         });
         bench.key("m");

@@ -2,43 +2,25 @@
 //!
 //! In: a [`Bench`]. Out: what is drawn. Never: waits, owns state that matters. Fails: not at all.
 
+mod choice;
+mod keys;
+
+pub use keys::SHORTCUTS;
+
 use super::bench::{Activity, Bench, BenchCommand, BenchStatus, Gravity, Pictures};
 use super::canvas::{Canvas, Done};
 use super::panels::{self, LiveForm, Own, PlanForm, ReplayForm, StageForm, Wishes};
 use super::plane::layers;
 use super::settings::{Below, Side, WindowSettings};
 use super::view::{History, Subject, View};
-use crate::display::{Colormap, Contrast, Limits};
-use crate::reconstruction::{SofiLook, SofiStage};
-use egui::{CentralPanel, ComboBox, DragValue, Key, Modifiers, Panel, RichText, ScrollArea, Ui};
+use crate::display::Limits;
+use egui::{CentralPanel, Panel, RichText, ScrollArea, Ui};
 use std::time::{Duration, Instant};
 
-/// Longest time between two Escapes that are a STOP.
-const TWICE: f64 = 1.0;
 /// Shortest time between two looks while something goes on, and the time while nothing does.
 const LOOKS: [Duration; 2] = [Duration::from_millis(33), Duration::from_millis(250)];
 /// Drawing takes at most a third of a core: the window waits so many times as long as a look has taken.
 const REST: f64 = 2.0;
-
-/// Keys and what they do, as the list shows them.
-pub const SHORTCUTS: [(&str, &str); 16] = [
-    ("Ctrl+.  or Esc Esc", "STOP: lasers off, motion stopped, run aborted"),
-    ("L", "Live"),
-    ("F", "Finish in good order"),
-    ("S", "Save images"),
-    ("1 ... 5", "Show mean, cumulants, unmixed, flattened, linearized"),
-    ("R, T, O", "Show camera R, camera T, both on each other"),
-    ("C", "Cameras beside the result on and off"),
-    ("M", "Compare with the mean image"),
-    ("A", "Contrast by percentiles again"),
-    ("Scroll, drag", "Zoom at the pointer, move the image"),
-    ("Double click", "Whole image"),
-    ("Shift+drag", "Line profile"),
-    ("Ctrl+drag in a camera", "Region of the cameras"),
-    ("Right click", "Bring this place to the middle with the stage"),
-    ("Ctrl+Z, Ctrl+Y", "Undo and redo view and contrast"),
-    ("Ctrl+Q", "Leave; a run is asked about"),
-];
 
 /// The window.
 pub struct Window {
@@ -179,69 +161,6 @@ impl Window {
         }
     }
 
-    fn keys(&mut self, ui: &Ui, status: &BenchStatus, wishes: &mut Wishes) {
-        let context = ui.ctx().clone();
-        let (now, escape, dot) = context.input_mut(|input| {
-            let dot = input.consume_key(Modifiers::COMMAND, Key::Period);
-            (input.time, input.key_pressed(Key::Escape), dot)
-        });
-        if escape {
-            wishes.stop |= self.escaped.is_some_and(|before| now - before < TWICE);
-            self.escaped = if wishes.stop { None } else { Some(now) };
-        }
-        wishes.stop |= dot;
-        if context.egui_wants_keyboard_input() {
-            return;
-        }
-        let pressed =
-            |modifiers: Modifiers, key: Key| context.input_mut(|input| input.consume_key(modifiers, key));
-        let plain = |key: Key| pressed(Modifiers::NONE, key);
-        if pressed(Modifiers::COMMAND, Key::Z) {
-            self.history.undo();
-        }
-        if pressed(Modifiers::COMMAND, Key::Y) {
-            self.history.redo();
-        }
-        if plain(Key::F1) || plain(Key::Questionmark) {
-            self.shows_shortcuts = !self.shows_shortcuts;
-        }
-        if plain(Key::L) && status.instrument.is_some() {
-            wishes.ask(BenchCommand::Live(self.live.settings.clone()));
-        }
-        if plain(Key::F) {
-            wishes.ask(BenchCommand::Finish);
-        }
-        if plain(Key::S) {
-            wishes.own.push(Own::Save);
-        }
-        if plain(Key::C) {
-            self.settings.shows_cameras = !self.settings.shows_cameras;
-        }
-        let view = self.history.view();
-        let mut next = view;
-        for (key, stage) in
-            [Key::Num1, Key::Num2, Key::Num3, Key::Num4, Key::Num5].into_iter().zip(SofiStage::ALL)
-        {
-            if plain(key) {
-                next.subject = Subject::Composite(stage);
-            }
-        }
-        for (key, subject) in
-            [(Key::R, Subject::Camera(0)), (Key::T, Subject::Camera(1)), (Key::O, Subject::Overlay)]
-        {
-            if plain(key) {
-                next.subject = subject;
-            }
-        }
-        if plain(Key::M) {
-            next.split = if view.split.is_some() { None } else { Some(0.5) };
-        }
-        if plain(Key::A) {
-            next.contrasts[view.contrast_index()] = View::default().contrasts[view.contrast_index()];
-        }
-        self.history.set(next, false);
-    }
-
     fn side(&mut self, ui: &mut Ui, status: &BenchStatus, wishes: &mut Wishes) {
         Panel::right("side").default_size(310.0).min_size(280.0).show(ui, |ui| {
             ui.add_space(4.0);
@@ -322,46 +241,6 @@ impl Window {
         done
     }
 
-    /// The row above the images: what is shown, in which colors, with which contrast.
-    fn choose(&mut self, ui: &mut Ui, pictures: &Pictures, view: &mut View) {
-        ui.horizontal_wrapped(|ui| {
-            let sofi = pictures.sofi.as_deref();
-            let label = ui.label("Image");
-            let images = ComboBox::from_id_salt("image").selected_text(name_of(view.subject, sofi));
-            let images = images.show_ui(ui, |ui| {
-                for subject in subjects(sofi) {
-                    ui.selectable_value(&mut view.subject, subject, name_of(subject, sofi));
-                }
-            });
-            images.response.labelled_by(label.id);
-            let label = ui.label("Colors");
-            let colors = ComboBox::from_id_salt("colors").selected_text(view.colormap.name());
-            let colors = colors.show_ui(ui, |ui| {
-                for map in Colormap::ALL {
-                    ui.selectable_value(&mut view.colormap, map, map.name());
-                }
-            });
-            colors.response.labelled_by(label.id);
-            contrast(ui, view, self.result.limits());
-            let mut is_split = view.split.is_some();
-            if ui
-                .checkbox(&mut is_split, "Beside the mean")
-                .on_hover_text("Mean image left of the divider (M)")
-                .changed()
-            {
-                view.split = is_split.then_some(0.5);
-            }
-            ui.checkbox(&mut view.marks_saturation, "Mark saturation")
-                .on_hover_text("Saturated pixels in red, judged on raw counts");
-            if ui.button("Whole image").on_hover_text("Double click in the image").clicked() {
-                view.zoom = None;
-            }
-            if let Some(trouble) = pictures.sofi.as_ref().and_then(|sofi| sofi.trouble.as_ref()) {
-                ui.label(RichText::new(trouble).color(panels::color_of(Gravity::Warning)));
-            }
-        });
-    }
-
     /// What the person did in the panes.
     fn take_up(&mut self, done: Done, status: &BenchStatus, pictures: &Pictures) {
         let view = self.history.view();
@@ -435,20 +314,6 @@ impl Window {
             self.refused = Some((refused.to_string(), Instant::now()));
         }
     }
-
-    fn list_shortcuts(&mut self, ui: &Ui) {
-        let mut is_open = self.shows_shortcuts;
-        egui::Window::new("Keyboard shortcuts").open(&mut is_open).resizable(false).show(ui.ctx(), |ui| {
-            egui::Grid::new("shortcuts").striped(true).show(ui, |ui| {
-                for (keys, what) in SHORTCUTS {
-                    ui.label(RichText::new(keys).monospace());
-                    ui.label(what);
-                    ui.end_row();
-                }
-            });
-        });
-        self.shows_shortcuts = is_open;
-    }
 }
 
 fn merge(done: &mut Done, one: Done) {
@@ -467,64 +332,5 @@ fn waiting(status: &BenchStatus) -> &'static str {
         }
         Activity::Ending => "finishing ...",
         _ => "press Live (L) to see the sample",
-    }
-}
-
-/// Everything that can be shown, in the order of the light path.
-fn subjects(sofi: Option<&SofiLook>) -> Vec<Subject> {
-    let mut all = vec![Subject::Camera(0), Subject::Camera(1), Subject::Overlay];
-    for stage in SofiStage::ALL {
-        let images = sofi.map_or(0, |sofi| sofi.stage(stage).count());
-        if images > 0 {
-            all.push(Subject::Composite(stage));
-            all.extend((0..images).map(|index| Subject::One(stage, index)));
-        }
-    }
-    all
-}
-
-fn name_of(subject: Subject, sofi: Option<&SofiLook>) -> String {
-    match subject {
-        Subject::Camera(0) => "camera R".to_owned(),
-        Subject::Camera(_) => "camera T".to_owned(),
-        Subject::Overlay => "both cameras".to_owned(),
-        Subject::Composite(stage) => format!("{}, all", stage.name()),
-        Subject::One(stage, index) => {
-            let image = sofi.and_then(|sofi| sofi.stage(stage).nth(index));
-            let name = image.map_or_else(|| (index + 1).to_string(), |image| image.name.clone());
-            format!("{}, {name}", stage.name())
-        }
-    }
-}
-
-fn contrast(ui: &mut Ui, view: &mut View, limits: &[Limits]) {
-    let index = view.contrast_index();
-    let now = limits.first().copied().unwrap_or(Limits { low: 0.0, high: 1.0 });
-    let mut is_manual = matches!(view.contrasts[index], Contrast::Manual(_));
-    if ui
-        .checkbox(&mut is_manual, "Manual contrast")
-        .on_hover_text("Black and white by value; percentiles again with A")
-        .changed()
-    {
-        view.contrasts[index] =
-            if is_manual { Contrast::Manual(now) } else { View::default().contrasts[index] };
-    }
-    let named = |ui: &mut Ui, name: &str, value: DragValue<'_>| {
-        let label = ui.label(name);
-        ui.add(value).labelled_by(label.id);
-    };
-    match &mut view.contrasts[index] {
-        Contrast::Manual(limits) => {
-            let speed = ((limits.high - limits.low).abs() / 200.0).max(1e-6);
-            named(ui, "black", DragValue::new(&mut limits.low).speed(speed));
-            named(ui, "white", DragValue::new(&mut limits.high).speed(speed));
-        }
-        Contrast::Percentile { low, high } => {
-            named(ui, "black", DragValue::new(low).range(0.0..=50.0).speed(0.1).suffix(" %"));
-            named(ui, "white", DragValue::new(high).range(50.0..=100.0).speed(0.02).suffix(" %"));
-        }
-        Contrast::FromZero { high } => {
-            named(ui, "white", DragValue::new(high).range(50.0..=100.0).speed(0.02).suffix(" %"));
-        }
     }
 }

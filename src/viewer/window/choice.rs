@@ -1,0 +1,112 @@
+//! The row above the images: what is shown, in which colors, with which contrast.
+//!
+//! In: the newest pictures. Out: another view. Never: offers what is not there. Fails: not at all.
+
+use super::Window;
+use crate::display::{Colormap, Contrast, Limits};
+use crate::reconstruction::{SofiLook, SofiStage};
+use crate::viewer::bench::{Gravity, Pictures};
+use crate::viewer::panels;
+use crate::viewer::view::{Subject, View};
+use egui::{ComboBox, DragValue, RichText, Ui};
+
+impl Window {
+    /// The row above the images: what is shown, in which colors, with which contrast.
+    pub(super) fn choose(&mut self, ui: &mut Ui, pictures: &Pictures, view: &mut View) {
+        ui.horizontal_wrapped(|ui| {
+            let sofi = pictures.sofi.as_deref();
+            let label = ui.label("Image");
+            let images = ComboBox::from_id_salt("image").selected_text(name_of(view.subject, sofi));
+            let images = images.show_ui(ui, |ui| {
+                for subject in subjects(sofi) {
+                    ui.selectable_value(&mut view.subject, subject, name_of(subject, sofi));
+                }
+            });
+            images.response.labelled_by(label.id);
+            let label = ui.label("Colors");
+            let colors = ComboBox::from_id_salt("colors").selected_text(view.colormap.name());
+            let colors = colors.show_ui(ui, |ui| {
+                for map in Colormap::ALL {
+                    ui.selectable_value(&mut view.colormap, map, map.name());
+                }
+            });
+            colors.response.labelled_by(label.id);
+            contrast(ui, view, self.result.limits());
+            let mut is_split = view.split.is_some();
+            if ui
+                .checkbox(&mut is_split, "Beside the mean")
+                .on_hover_text("Mean image left of the divider (M)")
+                .changed()
+            {
+                view.split = is_split.then_some(0.5);
+            }
+            ui.checkbox(&mut view.marks_saturation, "Mark saturation")
+                .on_hover_text("Saturated pixels in red, judged on raw counts");
+            if ui.button("Whole image").on_hover_text("Double click in the image").clicked() {
+                view.zoom = None;
+            }
+            if let Some(trouble) = pictures.sofi.as_ref().and_then(|sofi| sofi.trouble.as_ref()) {
+                ui.label(RichText::new(trouble).color(panels::color_of(Gravity::Warning)));
+            }
+        });
+    }
+}
+
+/// Everything that can be shown, in the order of the light path.
+fn subjects(sofi: Option<&SofiLook>) -> Vec<Subject> {
+    let mut all = vec![Subject::Camera(0), Subject::Camera(1), Subject::Overlay];
+    for stage in SofiStage::ALL {
+        let images = sofi.map_or(0, |sofi| sofi.stage(stage).count());
+        if images > 0 {
+            all.push(Subject::Composite(stage));
+            all.extend((0..images).map(|index| Subject::One(stage, index)));
+        }
+    }
+    all
+}
+
+fn name_of(subject: Subject, sofi: Option<&SofiLook>) -> String {
+    match subject {
+        Subject::Camera(0) => "camera R".to_owned(),
+        Subject::Camera(_) => "camera T".to_owned(),
+        Subject::Overlay => "both cameras".to_owned(),
+        Subject::Composite(stage) => format!("{}, all", stage.name()),
+        Subject::One(stage, index) => {
+            let image = sofi.and_then(|sofi| sofi.stage(stage).nth(index));
+            let name = image.map_or_else(|| (index + 1).to_string(), |image| image.name.clone());
+            format!("{}, {name}", stage.name())
+        }
+    }
+}
+
+fn contrast(ui: &mut Ui, view: &mut View, limits: &[Limits]) {
+    let index = view.contrast_index();
+    let now = limits.first().copied().unwrap_or(Limits { low: 0.0, high: 1.0 });
+    let mut is_manual = matches!(view.contrasts[index], Contrast::Manual(_));
+    if ui
+        .checkbox(&mut is_manual, "Manual contrast")
+        .on_hover_text("Black and white by value; percentiles again with A")
+        .changed()
+    {
+        view.contrasts[index] =
+            if is_manual { Contrast::Manual(now) } else { View::default().contrasts[index] };
+    }
+    let named = |ui: &mut Ui, name: &str, value: DragValue<'_>| {
+        let label = ui.label(name);
+        ui.add(value).labelled_by(label.id);
+    };
+    match &mut view.contrasts[index] {
+        Contrast::Manual(limits) => {
+            let speed = ((limits.high - limits.low).abs() / 200.0).max(1e-6);
+            named(ui, "black", DragValue::new(&mut limits.low).speed(speed));
+            named(ui, "white", DragValue::new(&mut limits.high).speed(speed));
+        }
+        Contrast::Percentile { low, high } => {
+            named(ui, "black", DragValue::new(low).range(0.0..=50.0).speed(0.1).suffix(" %"));
+            named(ui, "white", DragValue::new(high).range(50.0..=100.0).speed(0.02).suffix(" %"));
+        }
+        Contrast::FromZero { high } => {
+            named(ui, "white", DragValue::new(high).range(50.0..=100.0).speed(0.02).suffix(" %"));
+        }
+    }
+}
