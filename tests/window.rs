@@ -237,7 +237,7 @@ mod tests {
         bench.key("ctrl+period");
         bench.hear("STOP: lasers off, motion stopped, run aborted");
         bench.hear("aborted");
-        bench.see("5-stopped", |_, _| true);
+        bench.screen("5-stopped");
         assert_eq!(bench.close(), Some(0));
     }
 
