@@ -421,6 +421,9 @@ fn pulses_may_come_from_an_optical_table() {
         table.set(Quantity::LastPulse, sofiscope_virtual::monotonic().as_secs_f64());
         table.set(Quantity::Pulses, 500.0 + f64::from(pulse));
         assert_eq!(take(stream.as_mut(), 1)[0].0.exposure.0, u64::from(pulse as u32) - 1);
+        // A pulse gives one frame. The camera is blind for some lines after its readout: the next pulse comes
+        // when they are over.
+        assert!(drain(stream.as_mut(), Duration::from_millis(5)).is_empty());
     }
 }
 
