@@ -112,6 +112,22 @@ fn a_camera_that_is_one_exposure_late_is_found() {
 }
 
 #[test]
+fn cameras_that_moved_apart_are_found() {
+    let view = "[camera.transmitted.view]\nshift_px = [0.3, -0.2]\n\n[[species]]";
+    let moved = watched(&scene("figure-s4").replacen("[[species]]", view, 1), 2000, 0, None);
+    let drift = moved.last().unwrap().drift.unwrap();
+    println!("moved: {drift:?}");
+    assert!(drift.is_too_far(), "{drift:?}");
+    for (found, truth) in drift.shift_px.into_iter().zip([0.3, -0.2]) {
+        assert!((found - truth).abs() < 0.06, "{drift:?}");
+    }
+    let aligned = watched(&scene("figure-s4"), 2000, 0, None);
+    let drift = aligned.last().unwrap().drift.unwrap();
+    println!("aligned: {drift:?}");
+    assert!(!drift.is_too_far() && drift.distance_px() < 0.06, "{drift:?}");
+}
+
+#[test]
 fn the_half_time_of_bleaching_is_found() {
     let text = scene("figure-s4")
         .replace("tau_bleach_s = 80.0", "tau_bleach_s = 10.0")

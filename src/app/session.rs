@@ -15,7 +15,7 @@ use crate::control::run_state::FinishReason;
 use crate::control::sequencer::{Begin, Command, Devices, Patience, Sequencer, Status};
 use crate::display::PngNotes;
 use crate::files::OutputDirectory;
-use crate::reconstruction::Quality;
+use crate::reconstruction::{CameraDrift, Quality};
 use serde::Serialize;
 use sofiscope_hal::{HostTime, StopMotion};
 use std::collections::BTreeMap;
@@ -258,10 +258,28 @@ pub(super) fn analysis_of(result: &mut SeriesResult, prepared: Prepared) -> Resu
                 .to_owned(),
         );
     }
+    if let Some(drift) = live.quality.last().and_then(|quality| quality.drift).filter(CameraDrift::is_too_far)
+    {
+        prepared.warnings.push(drift_warning(&drift, prepared.registration.is_some()));
+    }
     let took = Duration::from_secs_f64(result.report.seconds);
     let mut analysis = prepared.finish(&live.engine, live.feed, took)?;
     analysis.quality = live.quality.last().cloned();
     Ok(analysis)
+}
+
+/// What the reader of a report must know about cameras that lie elsewhere.
+fn drift_warning(drift: &CameraDrift, is_registered: bool) -> String {
+    let far = format!("{:.2} px", drift.distance_px());
+    let about = if is_registered {
+        format!("The cameras lie {far} from where their registration says")
+    } else {
+        format!("What both cameras see lies {far} apart, and no registration is used")
+    };
+    format!(
+        "{about}: species images of this run leak into each other. Calibrate with `sofiscope calibrate registration` \
+         and analyze again with its file."
+    )
 }
 
 /// What the reader of a report must know about lost frames.

@@ -18,7 +18,7 @@ pub use live::{LiveAnalysis, LiveReport};
 pub use look::{CameraLook, HISTOGRAM_BINS, OneCamera, SofiLook, SofiStage, StageImage};
 pub use preview::{Preview, PreviewLink, PreviewReport, PreviewSettings, Shown, Snapshot, preview};
 pub use quality::{
-    BleachingState, CENTRAL_SIDE, LagCheck, Quality, QualityError, QualityMonitor, QualitySettings,
-    Resolution,
+    BleachingState, CENTRAL_SIDE, CameraDrift, LagCheck, MOST_DRIFT_PX, Quality, QualityError,
+    QualityMonitor, QualitySettings, Resolution,
 };
 pub use workers::AllCores;

@@ -9,10 +9,12 @@
 //! little beside that of the whole camera.
 
 mod blocks;
+mod drift;
 mod findings;
 mod partner;
 mod settings;
 
+pub use drift::{CameraDrift, MOST_DRIFT_PX};
 pub use findings::{BleachingState, LagCheck, Quality, Resolution};
 pub use settings::{QualityError, QualitySettings};
 
@@ -25,6 +27,7 @@ use crate::sofi::quality::{
     decorrelation, fit_bleaching, fourier_ring_correlation,
 };
 use blocks::{block_means, central};
+use drift::DriftWatch;
 use ndarray::Array2;
 use partner::Partner;
 use std::ops::Range;
@@ -40,6 +43,8 @@ pub struct QualityMonitor {
     columns: Range<usize>,
     /// The part of the other camera that shows the same, where cameras do not come aligned.
     partner: Option<Partner>,
+    /// For two cameras.
+    drift: Option<DriftWatch>,
     engine: CumulantEngine<u16>,
     open: Option<u64>,
     distances: Array2<f64>,
@@ -67,6 +72,8 @@ impl QualityMonitor {
         let columns = central(settings.width, settings.central_side);
         let partner = Partner::of(&mut settings.cumulants, &rows, &columns)?;
         let engine = CumulantEngine::new(settings.cumulants.clone(), rows.len(), columns.len())?;
+        let registration = settings.cumulants.registration.as_ref().map(|found| found.transform);
+        let drift = (channels == 2).then(|| DriftWatch::new(registration, [rows.len(), columns.len()]));
         if let Some(matrix) = &settings.matrix {
             let (rows, order) = (matrix.spectral_channels(), matrix.order());
             let fits = order == settings.cumulants.order
@@ -101,6 +108,7 @@ impl QualityMonitor {
             rows,
             columns,
             partner,
+            drift,
         })
     }
 
@@ -217,6 +225,9 @@ impl QualityMonitor {
         if let [reflected, transmitted] = &blocks[..] {
             self.lag.push(exposure.index, [reflected, transmitted]);
         }
+        if let (Some(drift), &[reflected, transmitted]) = (&mut self.drift, exposure.planes) {
+            drift.push([reflected, transmitted]);
+        }
         let limit = self.settings.saturation_counts;
         for (plane, saturated) in exposure.planes.iter().zip(&mut self.saturated) {
             if plane.iter().fold(0, |highest, &count| highest.max(count)) >= limit {
@@ -229,6 +240,9 @@ impl QualityMonitor {
     fn close(&mut self) {
         self.open = None;
         self.lag.close();
+        if let Some(drift) = &mut self.drift {
+            drift.close();
+        }
         let Some(drawing) = self.engine.draw(&AllCores, Incomplete::AtLeastHalf) else { return };
         self.exposures += drawing.samples;
         self.channels.resize_with(drawing.cumulants.len(), || RunningImage::new(drawing.cumulants[0].dim()));
@@ -266,6 +280,7 @@ impl QualityMonitor {
             resolution: images.iter().map(|image| self.resolution(image)).collect(),
             bleaching: (0..self.traces.len()).map(|channel| self.bleaching(channel)).collect(),
             lag: self.lag.correlation().map(LagCheck::from),
+            drift: self.drift.as_ref().and_then(DriftWatch::newest),
             saturated_share: self.saturated.iter().map(share).collect(),
             dead_pixels: drawing.variances.iter().zip(&self.saturated).map(dead).collect(),
         }

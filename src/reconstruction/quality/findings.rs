@@ -1,5 +1,6 @@
 //! What the watching found, and how many exposures are still needed.
 
+use super::drift::CameraDrift;
 use crate::sofi::quality::{
     FourierRingCorrelation, LagCorrelation, subsequences_for_resolution, subsequences_for_signal_to_noise,
 };
@@ -25,6 +26,8 @@ pub struct Quality {
     pub bleaching: Vec<Option<BleachingState>>,
     /// Whether both cameras see the same exposures; for two channels.
     pub lag: Option<LagCheck>,
+    /// Where the cameras lie against their registration; for two channels.
+    pub drift: Option<CameraDrift>,
     /// Share of the pixels, per channel, that were saturated at least once in the newest subsequence.
     pub saturated_share: Vec<f64>,
     /// Pixels per channel that did not change at all in the newest subsequence.

@@ -1,8 +1,8 @@
 //! Frames of camera T on the pixels of camera R, row by row, in two passes.
 //!
 //! One row of R is a slightly inclined line on T. The first pass makes the values on that line, at every column of T,
-//! from six rows; the second makes the values at the columns of R from six of these. Columns are worked on in
-//! registers: within one, the first of the six pixels moves by at most one, so seven taps per register are enough and
+//! from [`TAPS`] rows; the second makes the values at the columns of R from as many of these. Columns are worked on in
+//! registers: within one, the first of these pixels moves by at most one, so one tap more per register is enough and
 //! no pixel is looked up by itself.
 //!
 //! In: the transform and how to interpolate; rows of T as the camera gave them. Out: rows on the pixels of R, in
@@ -18,7 +18,7 @@ use pulp::Simd;
 /// Columns of one register.
 pub const REGISTER: usize = 16;
 
-/// Taps of a register: six, and one for a place where the first pixel moves on.
+/// Taps of a register: those of a value, and one for a place where the first pixel moves on.
 const REGISTER_TAPS: usize = TAPS + 1;
 
 /// Most that a line may gain on its pixels from column to column, so that it gains less than a pixel in a register.
