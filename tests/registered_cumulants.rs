@@ -122,6 +122,44 @@ fn background_without_emitters_has_no_cumulants() {
 }
 
 #[test]
+fn background_without_emitters_has_no_cumulants_of_orders_3_and_4() {
+    let (side, frames, photons) = (96, 800, 50.0);
+    let r = noise(7, frames, side * side, photons);
+    let t = noise(8, frames, side * side, photons);
+    let map = real(side, Mirror::None, 0.3, 1.002, [0.4, 0.55]);
+    for order in [3, 4] {
+        let drawing = draw(settings(map, order, 200), side, &r, &t, 32);
+        let scale = (GAIN * GAIN * photons).powf(order as f64 / 2.0);
+        for (u, image) in drawing.cumulants.iter().enumerate() {
+            for (p, q) in (0..order).flat_map(|p| (0..order).map(move |q| (p, q))) {
+                let (mean, error) = block_mean(image, order, (p, q));
+                let (share, standard) = (mean / scale, mean / error);
+                println!(
+                    "order {order}, {u} from T, sub-grid {p} {q}: {share:.5} of the noise, {standard:.2} errors"
+                );
+                assert!(standard.abs() < 4.0, "order {order}, {u} from T, {p} {q}: {mean} +- {error}");
+            }
+        }
+    }
+}
+
+/// Mean of a sub-grid and its standard error, from means of blocks of 8 x 8 camera pixels, as neighbors are correlated.
+fn block_mean(image: &Array2<f32>, order: usize, (p, q): (usize, usize)) -> (f64, f64) {
+    let mut blocks = std::collections::BTreeMap::<(usize, usize), Vec<f64>>::new();
+    for ((y, x), value) in image.indexed_iter() {
+        if y % order == p && x % order == q && value.is_finite() {
+            blocks.entry((y / (8 * order), x / (8 * order))).or_default().push(f64::from(*value));
+        }
+    }
+    let full = blocks.values().filter(|block| block.len() == 64);
+    let means: Vec<f64> = full.map(|block| block.iter().sum::<f64>() / 64.0).collect();
+    let number = means.len() as f64;
+    let mean = means.iter().sum::<f64>() / number;
+    let variance = means.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (number - 1.0);
+    (mean, (variance / number).sqrt())
+}
+
+#[test]
 fn blocks_and_threads_change_no_bit() {
     let (side, frames) = (48, 40);
     let r = noise(5, frames, side * side, 30.0);

@@ -59,9 +59,15 @@ pub(super) fn registered(
     let interpolation = settings.interpolation;
     let mut warnings = Vec::new();
     if interpolation.is_unbiased() && settings.order > 2 {
+        let about = if settings.order > 4 {
+            "neighbors in T share shot noise, which is taken off up to order 4 only"
+        } else {
+            "the shot noise that neighbors in T share is taken off where nothing blinks; where it does, about one part in \
+             the photons per pixel is left"
+        };
         warnings.push(format!(
-            "Order {} with a registration between pixels: neighbors in T share shot noise, which is taken off at \
-             order 2 only; trust order 2, or cameras aligned to whole pixels.",
+            "Order {} with a registration between pixels: {about}; compare with order 2, or with cameras aligned to \
+             whole pixels.",
             settings.order
         ));
     }

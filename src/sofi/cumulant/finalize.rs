@@ -6,10 +6,11 @@
 //! In: sums of a subsequence. Out: cumulants, means and variances of one band, in `f64`.
 
 use super::algebra::{LANES, Lanes, Polynomial};
+use super::bias::BiasRows;
 use super::layout::{Layout, load_row, registers, shifted};
 use super::moments::RunMoments;
 use super::plan::{PlacedSet, Plan, Term};
-use super::registered::{BiasRows, TRANSMITTED};
+use super::registered::TRANSMITTED;
 use pulp::{Simd, WithSimd};
 
 /// Number of result planes: cumulants by sub-position and spectral channel, then means, then variances.
@@ -60,6 +61,32 @@ impl WithSimd for Finalizing<'_> {
             cumulants(plan, layout, moments, (y, x), &mut scratch, &mut add);
             means_and_variances(plan, layout, moments, (y, x), &mut add);
         }
+        take_off_shared_noise(plan, layout, moments, weight, band, results);
+    }
+}
+
+/// Orders above 2: the noise that values between pixels share is taken off the cumulants of pure T.
+fn take_off_shared_noise(
+    plan: &Plan,
+    layout: &Layout,
+    moments: &RunMoments,
+    weight: f64,
+    band: usize,
+    results: &mut [f32],
+) {
+    let Some(raw) = moments.raw() else { return };
+    let mut bias = BiasRows::default();
+    for (row, y) in layout.rows(band).enumerate() {
+        bias.restart(y as i64);
+        for term in &plan.groups[plan.order] {
+            if bias.fill(raw, layout, moments.samples, term, y as i64) {
+                let result = term.first + plan.algebra.coefficients(plan.order) - 1;
+                let start = result * layout.plane_len(band) + row * layout.stride;
+                for (sum, bias) in results[start..start + layout.stride].iter_mut().zip(&bias.row) {
+                    *sum -= (weight * bias) as f32;
+                }
+            }
+        }
     }
 }
 
@@ -101,7 +128,7 @@ fn pair_cumulants(
                 *sum += (weight * scale * value) as f32;
             }
         };
-        bias.restart();
+        bias.restart(y as i64);
         for term in &plan.groups[2] {
             rows.sum_term(plan, layout, moments, term, y as i64);
             for (coefficient, total) in rows.totals.iter().enumerate() {

@@ -22,6 +22,7 @@
 //! ```
 
 mod algebra;
+mod bias;
 mod binned;
 mod drawing;
 mod engine;

@@ -1,17 +1,14 @@
-//! Camera T on the pixels of camera R, and the noise that neighbors share by that.
+//! Camera T on the pixels of camera R.
 //!
-//! A value between pixels of T is made from raw pixels, so neighbors share the shot noise of these, and their product
-//! has a mean even where nothing blinks: `bias(p, q) = sum over raw pixels a of w_p(a) w_q(a) var(a)`. It is linear in
-//! the mean image of T, which is summed beside the products, and is taken off when sums become cumulants.
-//!
-//! In: raw frames of T, the resampler, the noise of T. Out: sums of raw pixels; the bias of a pair of pixels, by rows.
+//! In: raw frames of T, the resampler, the noise of T. Out: rows of T on the pixels of R; sums of raw pixels, from
+//! which the shared noise is found.
 //! Never: changes anything where cameras come aligned, depends on how samples were blocked.
 
+use super::bias;
 use super::kernel::{Count, Planes};
 use super::layout::Layout;
-use super::plan::{Element, Term};
 use crate::sofi::registration::{
-    NoiseLine, REGISTER, RegistrationSettings, Resampler, RowTaps, TAPS, TransformError,
+    NoiseLine, REGISTER, RegistrationSettings, Resampler, RowTaps, TransformError,
 };
 use ndarray::Array2;
 use pulp::Simd;
@@ -25,13 +22,14 @@ pub(super) const TRANSMITTED: usize = 1;
 pub(super) struct Registered {
     pub(super) resampler: Arc<Resampler>,
     /// The noise whose shared part is taken off; none where it stays.
-    noise: Option<NoiseLine>,
+    pub(super) noise: Option<NoiseLine>,
 }
 
 impl Registered {
     pub(super) fn new(settings: &RegistrationSettings, order: usize) -> Result<Self, TransformError> {
         let resampler = Arc::new(Resampler::new(&settings.transform, settings.interpolation)?);
-        let noise = (settings.interpolation.is_unbiased() && order == 2).then_some(settings.noise);
+        let is_taken_off = settings.interpolation.is_unbiased() && order <= bias::HIGHEST_ORDER;
+        let noise = is_taken_off.then_some(settings.noise);
         Ok(Self { resampler, noise })
     }
 
@@ -108,109 +106,6 @@ pub(super) fn add_raw<T: Count>(samples: &[Planes<'_, T>], layout: &Layout, band
             }
         },
     );
-}
-
-/// Memory for the bias of one row of R.
-#[derive(Debug, Default)]
-pub(super) struct BiasRows {
-    /// The bias of the last term that was asked for.
-    pub(super) row: Vec<f64>,
-    /// For two rows of R: the shared variance of their lines at every column of flipped T.
-    shared: Vec<((i64, i64), Vec<f64>)>,
-}
-
-/// First column of flipped T that a row is worked out for, before the sensor's first.
-const MARGIN: i64 = 8;
-
-impl BiasRows {
-    /// Puts the bias of TT at a term's sub-position into `row`; says whether there is one.
-    pub(super) fn fill(&mut self, raw: &RawSums, layout: &Layout, samples: u64, term: &Term, y: i64) -> bool {
-        let Some(noise) = &raw.registered.noise else { return false };
-        let resampler = &raw.registered.resampler;
-        // The mean of the products about their own mean lacks one part in the number of samples.
-        let scale = (1.0 - 1.0 / samples as f64) / term.sets.len() as f64;
-        self.row.clear();
-        self.row.resize(layout.stride, 0.0);
-        for set in &term.sets {
-            let [a, b] = &set.elements[..] else { return false };
-            if a.lag != b.lag {
-                continue;
-            }
-            let rows = (y + i64::from(a.dy), y + i64::from(b.dy));
-            let shared = self.shared(raw, noise, layout, samples, rows);
-            add_shared(&mut self.row, &self.shared[shared].1, resampler, (a, b), (y, layout.width), scale);
-        }
-        true
-    }
-
-    /// Begins another row of R.
-    pub(super) fn restart(&mut self) {
-        self.shared.clear();
-    }
-
-    fn shared(
-        &mut self,
-        raw: &RawSums,
-        noise: &NoiseLine,
-        layout: &Layout,
-        samples: u64,
-        rows: (i64, i64),
-    ) -> usize {
-        if let Some(known) = self.shared.iter().position(|(of, _)| *of == rows) {
-            return known;
-        }
-        let resampler = &raw.registered.resampler;
-        let per_sample = 1.0 / samples as f64;
-        let columns = -MARGIN..layout.width as i64 + MARGIN;
-        let variances = columns.map(|j| {
-            let ((first_a, a), (first_b, b)) = (resampler.down(rows.0, j), resampler.down(rows.1, j));
-            let mut sum = 0.0;
-            for (tap, weight) in a.iter().enumerate() {
-                let row = first_a + tap as i64;
-                let Some(other) = usize::try_from(row - first_b).ok().and_then(|tap| b.get(tap)) else {
-                    continue;
-                };
-                let weight = weight * other;
-                if weight == 0.0 {
-                    continue;
-                }
-                let (row, column) = resampler.sensor(row, j);
-                let band = layout.band_of(row);
-                let place = (row - layout.rows(band).start) * layout.stride + column;
-                sum += f64::from(weight) * noise.variance(raw.bands[band][place] * per_sample);
-            }
-            sum
-        });
-        self.shared.push((rows, variances.collect()));
-        self.shared.len() - 1
-    }
-}
-
-/// Adds the bias of one pair to a row, from what the lines of its two rows share.
-fn add_shared(
-    bias: &mut [f64],
-    shared: &[f64],
-    resampler: &Resampler,
-    (a, b): (&Element, &Element),
-    (y, width): (i64, usize),
-    scale: f64,
-) {
-    for (x, bias) in bias.iter_mut().enumerate().take(width) {
-        let at =
-            |element: &Element| resampler.across(y + i64::from(element.dy), x as i64 + i64::from(element.dx));
-        let ((first_a, a), (first_b, b)) = (at(a), at(b));
-        let mut sum = 0.0;
-        for tap in 0..TAPS as i64 {
-            let other = first_a + tap - first_b;
-            if !(0..TAPS as i64).contains(&other) {
-                continue;
-            }
-            let column = usize::try_from(first_a + tap + MARGIN).ok();
-            let Some(shared) = column.and_then(|column| shared.get(column)) else { continue };
-            sum += f64::from(a[tap as usize] * b[other as usize]) * shared;
-        }
-        *bias += scale * sum;
-    }
 }
 
 /// Memory for one row of T on its way.

@@ -9,6 +9,9 @@ pub const TAPS: usize = 8;
 /// Pixels before the one at or left of the place.
 const BEFORE: i64 = TAPS as i64 / 2 - 1;
 
+/// The weights of a value between as many zeros on both sides, for products of weights that are apart.
+pub const PADDED_TAPS: usize = 3 * TAPS;
+
 /// Places between two pixels that are told apart; half a step is 0.0005 pixels.
 const PHASES: usize = 1024;
 
@@ -17,7 +20,7 @@ const PHASES: usize = 1024;
 const SPOT: f64 = 1.1;
 
 /// Steps of the integrals over the frequencies.
-const STEPS: usize = 512;
+const STEPS: usize = 256;
 
 /// How T is brought onto the pixels of R.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -51,7 +54,7 @@ impl Interpolation {
 /// The weights for every phase.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Weights {
-    by_phase: Vec<[f32; TAPS]>,
+    by_phase: Vec<[f32; PADDED_TAPS]>,
 }
 
 impl Weights {
@@ -67,39 +70,69 @@ impl Weights {
                 }
             }
         };
-        Self {
-            by_phase: (0..PHASES)
-                .map(|phase| weights(phase).map(|weight| (factor * weight) as f32))
-                .collect(),
-        }
+        let padded = |phase: usize| {
+            let mut padded = [0.0; PADDED_TAPS];
+            for (padded, weight) in padded[TAPS..].iter_mut().zip(weights(phase)) {
+                *padded = (factor * weight) as f32;
+            }
+            padded
+        };
+        Self { by_phase: (0..PHASES).map(padded).collect() }
+    }
+
+    /// The first pixel and the phase of a place.
+    #[inline(always)]
+    pub(super) fn place(place: f64) -> (i64, usize) {
+        // Rounding down without the call that it is where registers are narrow.
+        let phases = place * PHASES as f64 + 0.5;
+        let toward_zero = phases as i64;
+        let phases = toward_zero - i64::from(phases < toward_zero as f64);
+        (phases.div_euclid(PHASES as i64) - BEFORE, phases.rem_euclid(PHASES as i64) as usize)
+    }
+
+    /// The weights of a phase, between zeros.
+    #[inline(always)]
+    pub(super) fn padded(&self, phase: usize) -> &[f32; PADDED_TAPS] {
+        &self.by_phase[phase]
     }
 
     /// The first pixel and the weights for a place.
     #[inline(always)]
     pub(super) fn at(&self, place: f64) -> (i64, &[f32; TAPS]) {
-        let phases = (place * PHASES as f64 + 0.5).floor() as i64;
-        (phases.div_euclid(PHASES as i64) - BEFORE, &self.by_phase[phases.rem_euclid(PHASES as i64) as usize])
+        let (first, phase) = Self::place(place);
+        (first, self.by_phase[phase][TAPS..].first_chunk().unwrap_or(&[0.0; TAPS]))
     }
 }
 
 /// Weights `w` that sum to one and make `integral of |sum_k w_k exp(i k f) - exp(i d f)|^2 exp(-(s f)^2) df` over the
 /// frequencies of the pixel grid least, for places `d` and spots of standard deviation `s`.
 struct SpotWeights {
-    /// The normal equations, each spot once, factored: `L` of `L L^T`.
+    /// Frequencies and the power of a spot there, without its scale.
+    spectrum: Vec<(f64, f64)>,
+    /// The normal equations, factored: `L` of `L L^T`.
     factor: [[f64; TAPS]; TAPS],
 }
 
 impl SpotWeights {
     fn new() -> Self {
-        let mut factor = [[0.0; TAPS]; TAPS];
+        let frequency = |step: usize| std::f64::consts::PI * (step as f64 + 0.5) / STEPS as f64;
+        let power = |f: f64| (f, libm::exp(-(SPOT * f).powi(2)));
+        let spectrum = (0..STEPS).map(|step| power(frequency(step))).collect();
+        let mut spots = Self { spectrum, factor: [[0.0; TAPS]; TAPS] };
         for row in 0..TAPS {
             for column in 0..=row {
-                let before: f64 = (0..column).map(|k| factor[row][k] * factor[column][k]).sum();
-                let rest = correlation((row - column) as f64) - before;
+                let rest = spots.correlation((row - column) as f64);
+                let factor = &mut spots.factor;
+                let rest = rest - (0..column).map(|k| factor[row][k] * factor[column][k]).sum::<f64>();
                 factor[row][column] = if row == column { rest.sqrt() } else { rest / factor[column][column] };
             }
         }
-        Self { factor }
+        spots
+    }
+
+    /// `integral of cos(distance f) exp(-(SPOT f)^2) df` over half the frequencies of the pixel grid, without its scale.
+    fn correlation(&self, distance: f64) -> f64 {
+        self.spectrum.iter().map(|(f, power)| libm::cos(distance * f) * power).sum()
     }
 
     fn solve(&self, mut values: [f64; TAPS]) -> [f64; TAPS] {
@@ -119,17 +152,11 @@ impl SpotWeights {
         if fraction == 0.0 {
             return std::array::from_fn(|tap| if tap as i64 == BEFORE { 1.0 } else { 0.0 });
         }
-        let wanted = std::array::from_fn(|tap| correlation(tap as f64 - BEFORE as f64 - fraction));
+        let wanted = std::array::from_fn(|tap| self.correlation(tap as f64 - BEFORE as f64 - fraction));
         let (free, constant) = (self.solve(wanted), self.solve([1.0; TAPS]));
         let missing = (1.0 - free.iter().sum::<f64>()) / constant.iter().sum::<f64>();
         std::array::from_fn(|tap| free[tap] + missing * constant[tap])
     }
-}
-
-/// `integral of cos(distance f) exp(-(SPOT f)^2) df` over half the frequencies of the pixel grid, without its scale.
-fn correlation(distance: f64) -> f64 {
-    let frequencies = (0..STEPS).map(|step| std::f64::consts::PI * (step as f64 + 0.5) / STEPS as f64);
-    frequencies.map(|f| libm::cos(distance * f) * libm::exp(-(SPOT * f).powi(2))).sum()
 }
 
 #[cfg(test)]

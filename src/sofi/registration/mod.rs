@@ -25,7 +25,7 @@ mod transform;
 pub use beads::{Bead, find_beads};
 pub use correlation::{CoarseCorrelation, PatchCorrelation, shifted};
 pub use fit::{PointPair, distance, fit_affine, root_mean_square};
-pub use interpolation::{Interpolation, TAPS};
+pub use interpolation::{Interpolation, PADDED_TAPS, TAPS};
 pub use matching::{BeadMatch, MatchError, match_beads, without_outliers};
 pub use noise::NoiseLine;
 pub use resampling::{REGISTER, Resampler, RowTaps};

@@ -10,10 +10,11 @@
 //! Never: allocates after the first row on a thread, changes a value by whole-pixel shifts and mirrors.
 //! Fails: [`TransformError`] for maps that are farther from a shift than registers can follow.
 
-use super::interpolation::{Interpolation, TAPS, Weights};
+use super::interpolation::{Interpolation, PADDED_TAPS, TAPS, Weights};
 use super::transform::{ReflectedFromTransmitted, TransformError};
 use ndarray::Array2;
 use pulp::Simd;
+use std::ops::Range;
 
 /// Columns of one register.
 pub const REGISTER: usize = 16;
@@ -58,7 +59,6 @@ pub struct Resampler {
 #[derive(Debug, Clone, Copy, Default)]
 struct RegisterTaps {
     first: i64,
-    taps: usize,
     weights: [[f32; REGISTER]; REGISTER_TAPS],
 }
 
@@ -119,16 +119,43 @@ impl Resampler {
 
     /// First column of flipped T, and weights, of a pixel of R; the columns are those of the line of its row.
     #[inline(always)]
-    #[must_use]
-    pub fn across(&self, row: i64, column: i64) -> (i64, &[f32; TAPS]) {
+    fn across(&self, row: i64, column: i64) -> (i64, &[f32; TAPS]) {
         self.light.at(self.across.at(row, column))
     }
 
     /// First row of flipped T, and weights, of the line of a row of R at a column of flipped T.
     #[inline(always)]
-    #[must_use]
-    pub fn down(&self, row: i64, flipped_column: i64) -> (i64, &[f32; TAPS]) {
+    fn down(&self, row: i64, flipped_column: i64) -> (i64, &[f32; TAPS]) {
         self.weights.at(self.down.at(row, flipped_column))
+    }
+
+    /// First column of flipped T for a pixel of R, and the phase that tells its [`across_weights`](Self::across_weights).
+    #[inline(always)]
+    #[must_use]
+    pub fn across_place(&self, row: i64, column: i64) -> (i64, usize) {
+        Weights::place(self.across.at(row, column))
+    }
+
+    /// First row of flipped T for the line of a row of R at a column of flipped T, and the phase that tells its
+    /// [`down_weights`](Self::down_weights).
+    #[inline(always)]
+    #[must_use]
+    pub fn down_place(&self, row: i64, flipped_column: i64) -> (i64, usize) {
+        Weights::place(self.down.at(row, flipped_column))
+    }
+
+    /// Weights of [`TAPS`] columns from the first one on, between as many zeros on both sides.
+    #[inline(always)]
+    #[must_use]
+    pub fn across_weights(&self, phase: usize) -> &[f32; PADDED_TAPS] {
+        self.light.padded(phase)
+    }
+
+    /// Weights of [`TAPS`] rows from the first one on, between as many zeros on both sides.
+    #[inline(always)]
+    #[must_use]
+    pub fn down_weights(&self, phase: usize) -> &[f32; PADDED_TAPS] {
+        self.weights.padded(phase)
     }
 
     /// Row and column of T for those of flipped T, the nearest ones of the sensor.
@@ -172,22 +199,20 @@ impl Resampler {
     /// Puts the weights for a row of R and `registers` registers from a column on into `taps`.
     #[inline(always)]
     pub fn prepare(&self, row: i64, column: usize, registers: usize, taps: &mut RowTaps) {
-        taps.across.clear();
         let columns = (column as i64..).step_by(REGISTER).take(registers);
-        taps.across.extend(columns.map(|x| register(|lane| self.across(row, x + lane), 1)));
+        taps.across.clear();
+        for x in columns {
+            taps.across.push(register(&self.light, |lane| self.across.at(row, x + lane), 1));
+        }
         let begin = taps.across.first().map_or(0, |first| first.first);
         let end = taps.across.last().map_or(0, |last| last.first) + (TAPS + REGISTER) as i64;
         taps.begin = begin;
         taps.down.clear();
-        let reversed = self.flips[1];
-        let columns = (begin..end).step_by(REGISTER);
-        taps.down.extend(columns.map(|j| {
+        for j in (begin..end).step_by(REGISTER) {
             // Pixels are read in the order of the sensor; where that is flipped, so are the lanes.
-            register(
-                |lane| self.down(row, if reversed { j + REGISTER as i64 - 1 - lane } else { j + lane }),
-                0,
-            )
-        }));
+            let (first, step) = if self.flips[1] { (j + REGISTER as i64 - 1, -1) } else { (j, 1) };
+            taps.down.push(register(&self.weights, |lane| self.down.at(row, first + step * lane), 0));
+        }
         taps.between.resize(taps.down.len() * REGISTER, 0.0);
     }
 
@@ -205,25 +230,31 @@ impl Resampler {
         let (between_registers, _) = between.as_chunks_mut::<REGISTER>();
         for ((taps, between), j) in down.iter().zip(between_registers).zip((*begin..).step_by(REGISTER)) {
             let mut sums = zeros(simd);
-            let columns = self.columns(j);
-            for (row, weights) in (taps.first..).zip(&taps.weights[..taps.taps]) {
-                let start = onto(row, self.height, self.flips[0]) * self.width;
-                let mut pixels = [0.0; REGISTER];
-                match columns.and_then(|first| frame[start + first..].first_chunk::<REGISTER>()) {
-                    Some(raw) => {
-                        for (pixel, raw) in pixels.iter_mut().zip(raw) {
-                            *pixel = count(*raw);
+            match self.columns(j).zip(self.rows(taps)) {
+                Some((column, rows)) => {
+                    // The weights follow the rows of flipped T, the lines those of the sensor.
+                    let (mut line, step) = if self.flips[0] {
+                        ((rows.end - 1) * self.width + column, self.width.wrapping_neg())
+                    } else {
+                        (rows.start * self.width + column, self.width)
+                    };
+                    for weights in &taps.weights {
+                        if let Some(raw) = frame.get(line..).and_then(|raw| raw.first_chunk::<REGISTER>()) {
+                            add_weighted(simd, &mut sums, weights, &converted(raw, &count));
                         }
-                    }
-                    None => {
-                        let line = &frame[start..start + self.width];
-                        for (lane, pixel) in pixels.iter_mut().enumerate() {
-                            let lane = if self.flips[1] { REGISTER - 1 - lane } else { lane };
-                            *pixel = count(line[onto(j + lane as i64, self.width, self.flips[1])]);
-                        }
+                        line = line.wrapping_add(step);
                     }
                 }
-                add_weighted(simd, &mut sums, weights, &pixels);
+                None => {
+                    for (row, weights) in (taps.first..).zip(&taps.weights) {
+                        let pixels = std::array::from_fn(|lane| {
+                            let lane = if self.flips[1] { REGISTER - 1 - lane } else { lane };
+                            let (row, column) = self.sensor(row, j + lane as i64);
+                            count(frame[row * self.width + column])
+                        });
+                        add_weighted(simd, &mut sums, weights, &pixels);
+                    }
+                }
             }
             store(simd, &sums, between);
             if self.flips[1] {
@@ -233,10 +264,11 @@ impl Resampler {
         for (taps, values) in across.iter().zip(values.chunks_mut(REGISTER)) {
             let mut sums = zeros(simd);
             let start = (taps.first - *begin) as usize;
-            for (weights, between) in taps.weights[..taps.taps].iter().zip(between[start..].windows(REGISTER))
-            {
-                if let Some(between) = between.first_chunk::<REGISTER>() {
-                    add_weighted(simd, &mut sums, weights, between);
+            if let Some(between) = between[start..].first_chunk::<{ REGISTER + REGISTER_TAPS - 1 }>() {
+                for (tap, weights) in taps.weights.iter().enumerate() {
+                    if let Some(between) = between[tap..].first_chunk::<REGISTER>() {
+                        add_weighted(simd, &mut sums, weights, between);
+                    }
                 }
             }
             let mut register = [0.0; REGISTER];
@@ -248,12 +280,34 @@ impl Resampler {
         }
     }
 
+    /// Rows of the sensor that a register needs, if all are there.
+    #[inline(always)]
+    fn rows(&self, taps: &RegisterTaps) -> Option<Range<usize>> {
+        let first = usize::try_from(taps.first).ok()?;
+        let end = first + REGISTER_TAPS;
+        match self.flips[0] {
+            _ if end > self.height => None,
+            true => Some(self.height - end..self.height - first),
+            false => Some(first..end),
+        }
+    }
+
     /// First column of the sensor of a register of flipped T, if all are there.
     #[inline(always)]
     fn columns(&self, j: i64) -> Option<usize> {
         let start = if self.flips[1] { self.width as i64 - REGISTER as i64 - j } else { j };
         usize::try_from(start).ok().filter(|start| start + REGISTER <= self.width)
     }
+}
+
+/// A register of pixels in counts.
+#[inline(always)]
+fn converted<T: Copy>(raw: &[T; REGISTER], count: &impl Fn(T) -> f32) -> [f32; REGISTER] {
+    let mut pixels = [0.0; REGISTER];
+    for (pixel, raw) in pixels.iter_mut().zip(raw) {
+        *pixel = count(*raw);
+    }
+    pixels
 }
 
 /// The vectors of one register; those beyond it are not used.
@@ -296,22 +350,20 @@ fn onto(flipped: i64, side: usize, flips: bool) -> usize {
 
 /// Taps of all lanes with one first pixel; from lane to lane the pixels move on by `step`.
 #[inline(always)]
-fn register<'a>(of_lane: impl Fn(i64) -> (i64, &'a [f32; TAPS]), step: i64) -> RegisterTaps {
-    let lanes: [(i64, &[f32; TAPS]); REGISTER] = std::array::from_fn(|lane| {
-        let (first, weights) = of_lane(lane as i64);
-        (first - step * lane as i64, weights)
-    });
-    let first = lanes.iter().fold(i64::MAX, |least, (first, _)| least.min(*first));
-    let last = lanes.iter().fold(i64::MIN, |most, (first, _)| most.max(*first));
-    let mut register = RegisterTaps {
-        first,
-        taps: if last > first { REGISTER_TAPS } else { TAPS },
-        ..RegisterTaps::default()
-    };
-    for (lane, (own, weights)) in lanes.iter().enumerate() {
+fn register(weights: &Weights, place: impl Fn(i64) -> f64, step: i64) -> RegisterTaps {
+    let mut places = [(0, 0); REGISTER];
+    for (lane, place_of_lane) in (0..).zip(&mut places) {
+        let (first, phase) = Weights::place(place(lane));
+        *place_of_lane = (first - step * lane, phase);
+    }
+    let first = places.iter().fold(i64::MAX, |least, (first, _)| least.min(*first));
+    let mut register = RegisterTaps { first, ..RegisterTaps::default() };
+    for (lane, (own, phase)) in places.into_iter().enumerate() {
+        // Lanes whose pixels have moved on begin with one of the zeros before the weights.
         let late = ((own - first) as usize).min(REGISTER_TAPS - TAPS);
-        for (tap, weight) in weights.iter().enumerate() {
-            register.weights[tap + late][lane] = *weight;
+        let taps = &weights.padded(phase)[TAPS - late..];
+        for (register, weight) in register.weights.iter_mut().zip(taps) {
+            register[lane] = *weight;
         }
     }
     register
