@@ -124,12 +124,13 @@ fn background_without_emitters_has_no_cumulants() {
 #[test]
 fn background_without_emitters_has_no_cumulants_of_orders_3_and_4() {
     let (side, frames, photons) = (96, 800, 50.0);
-    let r = noise(7, frames, side * side, photons);
-    let t = noise(8, frames, side * side, photons);
+    let r = noise(17, frames, side * side, photons);
+    let t = noise(18, frames, side * side, photons);
     let map = real(side, Mirror::None, 0.3, 1.002, [0.4, 0.55]);
     for order in [3, 4] {
         let drawing = draw(settings(map, order, 200), side, &r, &t, 32);
         let scale = (GAIN * GAIN * photons).powf(order as f64 / 2.0);
+        let mut squares = Vec::new();
         for (u, image) in drawing.cumulants.iter().enumerate() {
             for (p, q) in (0..order).flat_map(|p| (0..order).map(move |q| (p, q))) {
                 let (mean, error) = block_mean(image, order, (p, q));
@@ -138,8 +139,15 @@ fn background_without_emitters_has_no_cumulants_of_orders_3_and_4() {
                     "order {order}, {u} from T, sub-grid {p} {q}: {share:.5} of the noise, {standard:.2} errors"
                 );
                 assert!(standard.abs() < 4.0, "order {order}, {u} from T, {p} {q}: {mean} +- {error}");
+                squares.push(standard * standard);
             }
         }
+        let all = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+        assert!(
+            (0.7..1.3).contains(&all),
+            "order {order}: {all} errors, root mean square of {}",
+            squares.len()
+        );
     }
 }
 
