@@ -8,7 +8,10 @@ use crate::sofi::registration::{Affine, Mirror, PatchCorrelation, PointPair, Ref
 use serde::Serialize;
 
 /// Exposures of each subsequence that are looked at.
-const EXPOSURES: usize = 48;
+const EXPOSURES: usize = 32;
+
+/// Patches along a side.
+const PATCHES: usize = 5;
 
 /// Exposures that are looked at together: so many that their mean is one, so few that nobody waits for them.
 const BLOCK: usize = 8;
@@ -54,7 +57,7 @@ impl CameraDrift {
             let mut off: Vec<f64> = off.collect();
             let middle = median(&mut off);
             let mut scatter: Vec<f64> = off.iter().map(|off| (off - middle).abs()).collect();
-            // Patches overlap by half on each side; half of them are taken as independent.
+            // In a small field patches overlap by half on each side; half of them are taken as independent.
             let independent = pairs.len() as f64 / 2.0;
             (middle, 1.2533 * 1.4826 * median(&mut scatter) / independent.sqrt())
         });
@@ -83,7 +86,7 @@ impl DriftWatch {
     pub(super) fn new(registration: Option<ReflectedFromTransmitted>, size: [usize; 2]) -> Self {
         let aligned = ReflectedFromTransmitted { mirror: Mirror::None, affine: Affine::IDENTITY, size };
         let map = registration.unwrap_or(aligned);
-        let patches = PatchCorrelation::new(map);
+        let patches = PatchCorrelation::with_patches(map, PATCHES);
         Self { map, patches, waiting: [Vec::new(), Vec::new()], taken: 0, newest: None }
     }
 
@@ -118,7 +121,7 @@ impl DriftWatch {
                 );
             }
             self.newest = Some(drift);
-            self.patches = PatchCorrelation::new(self.map);
+            self.patches = PatchCorrelation::with_patches(self.map, PATCHES);
         }
     }
 

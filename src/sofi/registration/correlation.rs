@@ -189,10 +189,16 @@ impl PatchCorrelation {
     /// Patches over the field that both cameras see.
     #[must_use]
     pub fn new(map: ReflectedFromTransmitted) -> Self {
+        Self::with_patches(map, MOST_PATCHES)
+    }
+
+    /// The same with at most so many patches along a side.
+    #[must_use]
+    pub fn with_patches(map: ReflectedFromTransmitted, most: usize) -> Self {
         let inverse = map.affine.inverse().unwrap_or(Affine::IDENTITY);
         let starts = |side: usize| -> Vec<usize> {
             let last = side.saturating_sub(PATCH);
-            let number = (last / (PATCH / 2) + 1).min(MOST_PATCHES);
+            let number = (last / (PATCH / 2) + 1).min(most);
             (0..number).map(|k| last * k / (number - 1).max(1)).collect()
         };
         let (rows, columns) = (starts(map.size[0]), starts(map.size[1]));
