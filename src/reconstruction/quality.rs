@@ -18,7 +18,10 @@ pub use settings::{QualityError, QualitySettings};
 
 use super::AllCores;
 use crate::pipeline::Publisher;
-use crate::sofi::cumulant::{CumulantEngine, CumulantSettings, Drawing, Exposure, Incomplete, PushError};
+use crate::sofi::camera::CameraMaps;
+use crate::sofi::cumulant::{
+    CumulantEngine, CumulantSettings, Drawing, Exposure, Incomplete, PushError, SettingsError,
+};
 use crate::sofi::flattening::{Flattening, PsfWidth, flatten};
 use crate::sofi::quality::{
     BinnedTrace, FourierRingCorrelation, LagCorrelator, Offset, RunningImage, balance_sub_grids,
@@ -28,6 +31,7 @@ use blocks::{block_means, central};
 use ndarray::Array2;
 use partner::Partner;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Side of the part that is looked at, camera pixels, unless asked otherwise.
 pub const CENTRAL_SIDE: usize = 256;
@@ -43,8 +47,10 @@ pub struct QualityMonitor {
     engine: CumulantEngine<u16>,
     open: Option<u64>,
     distances: Array2<f64>,
-    /// The central part of a block of exposures, channel by channel.
+    /// The central part of a block of exposures, channel by channel, 0 for pixels that are left out.
     central: Vec<Vec<u16>>,
+    /// Pixels of each channel's central part that are left out.
+    left_out: Vec<Vec<usize>>,
     channels: Vec<RunningImage>,
     species: Vec<RunningImage>,
     exposures: u64,
@@ -66,6 +72,11 @@ impl QualityMonitor {
         let rows = central(settings.height, settings.central_side);
         let columns = central(settings.width, settings.central_side);
         let partner = Partner::of(&mut settings.cumulants, &rows, &columns)?;
+        let begin_of = |channel: usize| match &partner {
+            Some(partner) if channel == Partner::CHANNEL => partner.begin,
+            _ => [rows.start, columns.start],
+        };
+        let left_out = crop_maps(&mut settings.cumulants, begin_of, [rows.len(), columns.len()])?;
         let engine = CumulantEngine::new(settings.cumulants.clone(), rows.len(), columns.len())?;
         if let Some(matrix) = &settings.matrix {
             let (rows, order) = (matrix.spectral_channels(), matrix.order());
@@ -89,6 +100,7 @@ impl QualityMonitor {
             open: None,
             distances: grid.squared_distances(),
             central: vec![Vec::new(); channels],
+            left_out,
             channels: Vec::new(),
             species: (0..species).map(|_| RunningImage::new(fine)).collect(),
             exposures: 0,
@@ -197,6 +209,10 @@ impl QualityMonitor {
                     let row = y * width + left..y * width + left + self.columns.len();
                     to.extend_from_slice(&exposure.planes[channel][row]);
                 }
+                let begin = to.len() - self.rows.len() * self.columns.len();
+                for pixel in self.left_out.get(channel).into_iter().flatten() {
+                    to[begin + pixel] = 0;
+                }
             }
         }
     }
@@ -210,9 +226,10 @@ impl QualityMonitor {
             _ => block_means(plane, self.columns.len()),
         };
         let blocks: Vec<Vec<f64>> = exposure.planes.iter().enumerate().map(means).collect();
-        for (plane, trace) in exposure.planes.iter().zip(&mut self.traces) {
+        for (channel, (plane, trace)) in exposure.planes.iter().zip(&mut self.traces).enumerate() {
             let sum: u64 = plane.iter().map(|&count| u64::from(count)).sum();
-            trace.push(exposure.index, sum as f64 / plane.len() as f64);
+            let good = plane.len() - self.left_out.get(channel).map_or(0, Vec::len);
+            trace.push(exposure.index, sum as f64 / good.max(1) as f64);
         }
         if let [reflected, transmitted] = &blocks[..] {
             self.lag.push(exposure.index, [reflected, transmitted]);
@@ -304,6 +321,26 @@ impl QualityMonitor {
             left: found.left,
         })
     }
+}
+
+/// Makes camera maps those of the central part; gives the pixels that are left out, by channel.
+fn crop_maps(
+    cumulants: &mut CumulantSettings,
+    begin_of: impl Fn(usize) -> [usize; 2],
+    size: [usize; 2],
+) -> Result<Vec<Vec<usize>>, SettingsError> {
+    for (channel, camera) in cumulants.cameras.iter_mut().enumerate() {
+        let Some(maps) = camera else { continue };
+        let too_small = SettingsError::MapSize { made_for: maps.size(), frames: size };
+        *maps = Arc::new(maps.part(begin_of(channel), size).ok_or(too_small)?);
+    }
+    let left_out = |maps: &Arc<CameraMaps>| {
+        let faults = maps.faults().iter().enumerate();
+        faults.filter(|(_, fault)| **fault != 0).map(|(pixel, _)| pixel).collect()
+    };
+    Ok((0..cumulants.channels)
+        .map(|channel| cumulants.camera(channel).map_or_else(Vec::new, left_out))
+        .collect())
 }
 
 /// Sub-grid by sub-grid times its factor.

@@ -10,37 +10,83 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::poisson::{self, FixedMean};
 use crate::scene::CameraModel;
+use crate::sensor::Sensor;
 
 /// Turns the photons of one camera into counts.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(crate) struct Digitizer {
     model: CameraModel,
+    /// Its pixels, where they differ.
+    sensor: Option<Sensor>,
     /// Most pixels see nothing but background; their law is prepared once.
     background_photons: f32,
     background: FixedMean,
 }
 
 impl Digitizer {
-    pub(crate) fn new(model: CameraModel, background_photons: f32) -> Self {
+    pub(crate) fn new(model: CameraModel, sensor: Option<Sensor>, background_photons: f32) -> Self {
         let background = FixedMean::new(mean_electrons(&model, background_photons));
-        Self { model, background_photons, background }
+        Self { model, sensor, background_photons, background }
+    }
+
+    /// The pixels, where they differ.
+    pub(crate) fn sensor(&self) -> Option<&Sensor> {
+        self.sensor.as_ref()
     }
 
     /// Draws one frame.
     pub(crate) fn draw(&self, photons: &[f32], rng: &mut Xoshiro256PlusPlus, counts: &mut [u16]) {
-        let saturation = f64::from(self.model.saturation_counts);
-        for (count, &photons) in counts.iter_mut().zip(photons) {
-            let electrons = if photons.to_bits() == self.background_photons.to_bits() {
-                self.background.draw(rng)
-            } else {
-                poisson::draw(mean_electrons(&self.model, photons), rng)
+        let model = &self.model;
+        let alike = Pixel {
+            offset: model.offset_counts,
+            gain: model.gain_counts_per_electron,
+            read_noise: model.read_noise_electrons,
+        };
+        for (pixel, (count, &photons)) in counts.iter_mut().zip(photons).enumerate() {
+            let Some(sensor) = &self.sensor else {
+                *count = self.count(self.electrons(photons, rng), &alike, rng);
+                continue;
             };
-            let noise: f64 = rng.sample(StandardNormal);
-            let signal = electrons + self.model.read_noise_electrons * noise;
-            let value = self.model.offset_counts + self.model.gain_counts_per_electron * signal;
-            *count = (value.clamp(0.0, saturation) + 0.5) as u16;
+            let electrons = if sensor.is_dead[pixel] {
+                0.0
+            } else if sensor.is_hot[pixel] {
+                let dark = f64::from(sensor.dark_electrons[pixel]);
+                poisson::draw(model.quantum_efficiency * f64::from(photons) + dark, rng)
+            } else {
+                self.electrons(photons, rng)
+            };
+            let own = Pixel {
+                offset: f64::from(sensor.offset_counts[pixel]),
+                gain: f64::from(sensor.gain_counts_per_electron[pixel]),
+                read_noise: f64::from(sensor.read_noise_electrons[pixel]),
+            };
+            *count = self.count(electrons, &own, rng);
         }
     }
+
+    #[inline(always)]
+    fn electrons(&self, photons: f32, rng: &mut Xoshiro256PlusPlus) -> f64 {
+        if photons.to_bits() == self.background_photons.to_bits() {
+            self.background.draw(rng)
+        } else {
+            poisson::draw(mean_electrons(&self.model, photons), rng)
+        }
+    }
+
+    #[inline(always)]
+    fn count(&self, electrons: f64, pixel: &Pixel, rng: &mut Xoshiro256PlusPlus) -> u16 {
+        let noise: f64 = rng.sample(StandardNormal);
+        let signal = electrons + pixel.read_noise * noise;
+        let value = pixel.offset + pixel.gain * signal;
+        (value.clamp(0.0, f64::from(self.model.saturation_counts)) + 0.5) as u16
+    }
+}
+
+/// What one pixel makes of electrons.
+struct Pixel {
+    offset: f64,
+    gain: f64,
+    read_noise: f64,
 }
 
 fn mean_electrons(model: &CameraModel, photons: f32) -> f64 {
@@ -55,7 +101,7 @@ mod tests {
     fn frame(model: CameraModel, photons: f32, n: usize) -> Vec<u16> {
         let mut counts = vec![0; n];
         let mut rng = Stream::Patches.generator(21);
-        Digitizer::new(model, 2.5).draw(&vec![photons; n], &mut rng, &mut counts);
+        Digitizer::new(model, None, 2.5).draw(&vec![photons; n], &mut rng, &mut counts);
         counts
     }
 

@@ -17,6 +17,7 @@ use crate::emitters::{Emitter, Patch, place};
 use crate::optics::{Spot, SpotPatterns};
 use crate::random::Stream;
 use crate::scene::{Photophysics, Scene};
+use crate::sensor::Sensor;
 use crate::truth::Truth;
 
 /// Why the world gives no frame.
@@ -95,6 +96,12 @@ impl World {
     #[must_use]
     pub fn truth(&self) -> Truth {
         Truth::new(self)
+    }
+
+    /// The pixels of a camera; none where all of them are alike.
+    #[must_use]
+    pub fn sensor(&self, channel: Channel) -> Option<&Sensor> {
+        self.optical_paths[channel.index()].digitizer.sensor()
     }
 
     /// Expected photons per pixel that reach a camera in one exposure, before its quantum efficiency.
@@ -234,7 +241,9 @@ impl OpticalPath {
                 spots.add(number, 1.0, &mut steady, width);
             }
         }
-        let digitizer = Digitizer::new(scene.cameras()[channel.index()], background);
+        let model = scene.cameras()[channel.index()];
+        let sensor = Sensor::new(&model, channel.index(), height * width);
+        let digitizer = Digitizer::new(model, sensor, background);
         Self { steady, spots, digitizer }
     }
 }

@@ -10,6 +10,7 @@
 use super::kernel::{Count, Planes};
 use super::layout::Layout;
 use super::plan::{Element, Term};
+use crate::sofi::camera::CameraMaps;
 use crate::sofi::registration::{
     NoiseLine, REGISTER, RegistrationSettings, Resampler, RowTaps, TAPS, TransformError,
 };
@@ -25,13 +26,39 @@ pub(super) const TRANSMITTED: usize = 1;
 pub(super) struct Registered {
     pub(super) resampler: Arc<Resampler>,
     /// The noise whose shared part is taken off; none where it stays.
-    noise: Option<NoiseLine>,
+    noise: Option<PixelNoise>,
+}
+
+/// The noise of T's pixels.
+#[derive(Debug, Clone)]
+enum PixelNoise {
+    /// The same law for all of them.
+    Line(NoiseLine),
+    /// Each its own.
+    Maps(Arc<CameraMaps>),
+}
+
+impl PixelNoise {
+    #[inline(always)]
+    fn variance(&self, place: (usize, usize), mean: f64) -> f64 {
+        match self {
+            Self::Line(line) => line.variance(mean),
+            Self::Maps(maps) => maps.noise_variance(place, mean),
+        }
+    }
 }
 
 impl Registered {
-    pub(super) fn new(settings: &RegistrationSettings, order: usize) -> Result<Self, TransformError> {
+    pub(super) fn new(
+        settings: &RegistrationSettings,
+        order: usize,
+        camera: Option<&Arc<CameraMaps>>,
+    ) -> Result<Self, TransformError> {
         let resampler = Arc::new(Resampler::new(&settings.transform, settings.interpolation)?);
-        let noise = (settings.interpolation.is_unbiased() && order == 2).then_some(settings.noise);
+        let noise = (settings.interpolation.is_unbiased() && order == 2).then(|| match camera {
+            Some(maps) => PixelNoise::Maps(Arc::clone(maps)),
+            None => PixelNoise::Line(settings.noise),
+        });
         Ok(Self { resampler, noise })
     }
 
@@ -151,7 +178,7 @@ impl BiasRows {
     fn shared(
         &mut self,
         raw: &RawSums,
-        noise: &NoiseLine,
+        noise: &PixelNoise,
         layout: &Layout,
         samples: u64,
         rows: (i64, i64),
@@ -177,7 +204,8 @@ impl BiasRows {
                 let (row, column) = resampler.sensor(row, j);
                 let band = layout.band_of(row);
                 let place = (row - layout.rows(band).start) * layout.stride + column;
-                sum += f64::from(weight) * noise.variance(raw.bands[band][place] * per_sample);
+                let mean = raw.bands[band][place] * per_sample;
+                sum += f64::from(weight) * noise.variance((row, column), mean);
             }
             sum
         });
