@@ -428,6 +428,22 @@ mod tests {
     }
 
     #[test]
+    fn a_file_of_measured_shares_stands_before_the_built_in_dichroics() {
+        let text = "[[dichroic]]\nname = \"zt 594 RDC\"\ndate = \"2026-01-02\"\ncoefficients = [{ fluorophore = \"AF488\", \
+                    transmission = 0.031, transmission_uncertainty = 0.002, recording = \"a\" }]";
+        let catalogue = Catalogue::with_dichroics(text).unwrap();
+        assert_eq!(catalogue.measured(), Some("zt 594 RDC"));
+        let measured = catalogue.species(&["AF488"], "zt 594 RDC").unwrap();
+        assert_eq!(measured[0].response.transmission(), 0.031);
+        assert!(
+            catalogue.species(&["Atto 565"], "zt 594 RDC").is_err(),
+            "measured and calculated shares mixed"
+        );
+        assert!(catalogue.species(&["Atto 565"], "HC BS 640").is_ok());
+        assert_eq!(Catalogue::built_in().measured(), None);
+    }
+
+    #[test]
     fn measured_reflections_are_taken_as_they_are() {
         let dichroics = "[[dichroic]]\nname = \"D\"\ncoefficients = [{ fluorophore = \"AF488\", transmission = 0.3, reflection = 0.5 }]";
         let catalogue = Catalogue::from_toml(FLUOROPHORES, dichroics).unwrap();

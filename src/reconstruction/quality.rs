@@ -10,6 +10,7 @@
 
 mod blocks;
 mod findings;
+mod noise;
 mod partner;
 mod settings;
 
@@ -29,6 +30,7 @@ use crate::sofi::quality::{
 };
 use blocks::{block_means, central};
 use ndarray::Array2;
+use noise::blinking_to_noise;
 use partner::Partner;
 use std::ops::Range;
 use std::sync::Arc;
@@ -280,6 +282,9 @@ impl QualityMonitor {
             subsequence_exposures: self.settings.cumulants.subsequence,
             snr_channels: snr(&self.channels),
             snr_species: snr(&self.species),
+            blinking_to_noise: (0..drawing.means.len())
+                .map(|channel| self.blinking(drawing, channel))
+                .collect(),
             resolution: images.iter().map(|image| self.resolution(image)).collect(),
             bleaching: (0..self.traces.len()).map(|channel| self.bleaching(channel)).collect(),
             lag: self.lag.correlation().map(LagCheck::from),
@@ -308,6 +313,14 @@ impl QualityMonitor {
         let whole = decorrelation(&scaled(image.mean(), &scales));
         let decorrelation_camera_px = whole.map(|found| found.resolution_px / order as f64);
         Resolution { camera_px, nm, is_pixel_limited, decorrelation_camera_px, curve }
+    }
+
+    /// Not for a camera that is registered, as its noise is another one then.
+    fn blinking(&self, drawing: &Drawing, channel: usize) -> Option<f64> {
+        let maps = self.settings.cumulants.camera(channel)?;
+        let is_registered = self.partner.is_some() && channel == Partner::CHANNEL;
+        let (mean, variance) = (&drawing.means[channel], &drawing.variances[channel]);
+        (!is_registered).then(|| blinking_to_noise(mean, variance, drawing.samples, maps)).flatten()
     }
 
     fn bleaching(&self, channel: usize) -> Option<BleachingState> {

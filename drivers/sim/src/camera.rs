@@ -35,32 +35,37 @@ impl Digitizer {
     }
 
     /// Draws one frame.
-    pub(crate) fn draw(&self, photons: &[f32], rng: &mut Xoshiro256PlusPlus, counts: &mut [u16]) {
-        let model = &self.model;
+    ///
+    /// Hot pixels have their dark electrons from a stream of their own, so that all other pixels give the counts that
+    /// they would give without them.
+    pub(crate) fn draw(&self, photons: &[f32], random: Generators<'_>, counts: &mut [u16]) {
+        let (model, Generators { noise, dark }) = (&self.model, random);
         let alike = Pixel {
             offset: model.offset_counts,
             gain: model.gain_counts_per_electron,
             read_noise: model.read_noise_electrons,
         };
+        let Some(sensor) = &self.sensor else {
+            for (count, &photons) in counts.iter_mut().zip(photons) {
+                *count = self.count(self.electrons(photons, noise), &alike, noise);
+            }
+            return;
+        };
         for (pixel, (count, &photons)) in counts.iter_mut().zip(photons).enumerate() {
-            let Some(sensor) = &self.sensor else {
-                *count = self.count(self.electrons(photons, rng), &alike, rng);
-                continue;
-            };
-            let electrons = if sensor.is_dead[pixel] {
-                0.0
-            } else if sensor.is_hot[pixel] {
-                let dark = f64::from(sensor.dark_electrons[pixel]);
-                poisson::draw(model.quantum_efficiency * f64::from(photons) + dark, rng)
-            } else {
-                self.electrons(photons, rng)
-            };
+            let mut electrons = self.electrons(photons, noise);
+            if sensor.is_hot[pixel] {
+                let more = f64::from(sensor.dark_electrons[pixel]) - model.dark_electrons_per_exposure;
+                electrons += poisson::draw(more, dark);
+            }
+            if sensor.is_dead[pixel] {
+                electrons = 0.0;
+            }
             let own = Pixel {
                 offset: f64::from(sensor.offset_counts[pixel]),
                 gain: f64::from(sensor.gain_counts_per_electron[pixel]),
                 read_noise: f64::from(sensor.read_noise_electrons[pixel]),
             };
-            *count = self.count(electrons, &own, rng);
+            *count = self.count(electrons, &own, noise);
         }
     }
 
@@ -82,6 +87,14 @@ impl Digitizer {
     }
 }
 
+/// Random numbers of one exposure.
+pub(crate) struct Generators<'a> {
+    /// Of photons and read noise.
+    pub(crate) noise: &'a mut Xoshiro256PlusPlus,
+    /// Of the dark electrons of hot pixels.
+    pub(crate) dark: &'a mut Xoshiro256PlusPlus,
+}
+
 /// What one pixel makes of electrons.
 struct Pixel {
     offset: f64,
@@ -97,12 +110,35 @@ fn mean_electrons(model: &CameraModel, photons: f32) -> f64 {
 mod tests {
     use super::*;
     use crate::random::Stream;
+    use crate::scene::PixelSpread;
 
     fn frame(model: CameraModel, photons: f32, n: usize) -> Vec<u16> {
         let mut counts = vec![0; n];
-        let mut rng = Stream::Patches.generator(21);
-        Digitizer::new(model, None, 2.5).draw(&vec![photons; n], &mut rng, &mut counts);
+        digitize(model, None, photons, &mut counts);
         counts
+    }
+
+    fn digitize(model: CameraModel, sensor: Option<Sensor>, photons: f32, counts: &mut [u16]) {
+        let (mut noise, mut dark) = (Stream::Patches.generator(21), Stream::Patches.generator(22));
+        let random = Generators { noise: &mut noise, dark: &mut dark };
+        Digitizer::new(model, sensor, 2.5).draw(&vec![photons; counts.len()], random, counts);
+    }
+
+    #[test]
+    fn hot_and_dead_pixels_leave_the_others_as_they_are() {
+        let pixels = PixelSpread { hot_share: 0.01, dead_share: 0.01, ..PixelSpread::default() };
+        let model = CameraModel { pixels, ..CameraModel::default() };
+        let sensor = Sensor::new(&model, 0, 2000).unwrap();
+        let (mut alike, mut broken) = (vec![0; 2000], vec![0; 2000]);
+        digitize(model, None, 300.0, &mut alike);
+        digitize(model, Some(sensor.clone()), 300.0, &mut broken);
+        for (pixel, (alike, broken)) in alike.iter().zip(&broken).enumerate() {
+            match (sensor.is_hot[pixel], sensor.is_dead[pixel]) {
+                (true, _) => assert!(broken > &(alike + 200)),
+                (_, true) => assert!((80..120).contains(broken)),
+                _ => assert_eq!(alike, broken),
+            }
+        }
     }
 
     fn mean_and_variance(counts: &[u16]) -> (f64, f64) {

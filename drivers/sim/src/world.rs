@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use sofiscope_hal::{Channel, ExposureIndex};
 
 use crate::blinking::{OnIntervals, on_fractions};
-use crate::camera::Digitizer;
+use crate::camera::{Digitizer, Generators};
 use crate::emitters::{Emitter, Patch, place};
 use crate::optics::{Spot, SpotPatterns};
 use crate::random::Stream;
@@ -218,10 +218,17 @@ impl World {
     }
 
     fn digitize(&self, channel: Channel, exposure: ExposureIndex, photons: &mut [f32], counts: &mut [u16]) {
-        let stream = Stream::Noise { channel: channel.index() as u64, exposure: exposure.0 };
-        let mut rng = stream.generator(self.seed);
+        let (number, exposure_number) = (channel.index() as u64, exposure.0);
+        let stream = Stream::Noise { channel: number, exposure: exposure_number };
+        let mut noise = stream.generator(self.seed);
+        let stream = Stream::Dark { channel: number, exposure: exposure_number };
+        let mut dark = stream.generator(self.seed);
         self.light(channel, exposure, photons);
-        self.optical_paths[channel.index()].digitizer.draw(photons, &mut rng, counts);
+        self.optical_paths[channel.index()].digitizer.draw(
+            photons,
+            Generators { noise: &mut noise, dark: &mut dark },
+            counts,
+        );
     }
 }
 

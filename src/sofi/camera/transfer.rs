@@ -200,7 +200,7 @@ mod tests {
     fn series_that_say_nothing_are_refused() {
         let (dark, flat) = (moments(100.0, 9.0), moments(300.0, 449.0));
         assert_eq!(photon_transfer(&dark, &[]), Err(TransferError::NoFlat));
-        assert_eq!(photon_transfer(&dark, &[dark.clone()]), Err(TransferError::NoLight));
+        assert_eq!(photon_transfer(&dark, std::slice::from_ref(&dark)), Err(TransferError::NoLight));
         let few = PixelMoments { frames: 3, ..flat.clone() };
         assert_eq!(photon_transfer(&dark, &[few]), Err(TransferError::Frames(3)));
         let mut bright = flat;
