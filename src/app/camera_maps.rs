@@ -214,6 +214,17 @@ fn kept_name(camera: usize) -> String {
     format!("camera-maps-{}.ome.tif", if camera == 0 { "r" } else { "t" })
 }
 
+/// Copies the maps in a recording to another one of the same frames.
+pub(super) fn copy_kept(from: &Path, to: &Path) -> Result<(), FileError> {
+    for name in [0, 1].map(kept_name) {
+        let (from, to) = (from.join(&name), to.join(&name));
+        if from.is_file() {
+            std::fs::copy(&from, &to).map_err(|source| FileError::from_io(&to, "write", source))?;
+        }
+    }
+    Ok(())
+}
+
 impl UsedMaps {
     /// The text that is kept beside the frames of a recording.
     pub(super) fn kept_text(&self, camera: usize) -> String {

@@ -207,6 +207,9 @@ fn prepare(replay: &Replay, given: RawAnalysis, start: u64, folder: &Path) -> Re
     };
     let settings = AnalysisSettings::try_from(raw).map_err(AppError::usage)?;
     let input = |role: &str| (role.to_owned(), info.description.clone(), "uint16".to_owned());
+    // Foreign files do not know where on the sensor their frames lie.
+    let regions =
+        replay.cameras.each_ref().map(|camera| note.as_ref().map(|_| camera.recorded_settings().region));
     let kept_maps = |text: &Option<String>| {
         let text = text.clone()?;
         let name = format!("the camera maps of {}", folder.display());
@@ -225,7 +228,7 @@ fn prepare(replay: &Replay, given: RawAnalysis, start: u64, folder: &Path) -> Re
         registration: note.as_ref().and_then(|note| note.registration.clone()),
         calibrations: analysis::Calibrations {
             camera_maps: note.iter().flat_map(|note| &note.camera_maps).map(kept_maps).collect(),
-            regions: replay.cameras.each_ref().map(|camera| Some(camera.recorded_settings().region)),
+            regions,
             response: note.and_then(|note| note.response),
         },
     };

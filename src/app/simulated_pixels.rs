@@ -20,7 +20,7 @@ pub(super) fn write_pixels(path: &Path, scene: &Scene, sensor: &Sensor) -> Resul
     });
     let maps = [
         map(&|pixel| sensor.dark_mean_counts(pixel) as f32),
-        map(&|pixel| sensor.gain_counts_per_electron[pixel]),
+        map(&|pixel| sensor.gain_counts_per_electron[pixel] as f32),
         map(&|pixel| sensor.dark_variance_counts2(pixel) as f32),
     ];
     let [offset, gain, variance] = &maps;

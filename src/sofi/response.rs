@@ -56,8 +56,20 @@ pub struct MeasuredShare {
     pub transmission: f64,
     /// One standard error, from how tiles differ.
     pub error: f64,
-    /// Tiles that were used.
-    pub tiles: usize,
+    /// How many tiles decide about it, less one: the degrees of freedom of its error.
+    pub freedom: f64,
+}
+
+impl MeasuredShare {
+    /// Half of the interval that holds the truth in 95 of 100 measurements: two standard errors if the error were
+    /// certain, more for the few tiles of a small sample (Student; Fisher and Cornish 1960).
+    #[must_use]
+    pub fn uncertainty(&self) -> f64 {
+        let z: f64 = 2.0;
+        let first = (z.powi(3) + z) / (4.0 * self.freedom);
+        let second = (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / (96.0 * self.freedom.powi(2));
+        (z + first + second) * self.error
+    }
 }
 
 impl StainedSums {
@@ -227,7 +239,9 @@ fn slope(tiles: &[Tile]) -> Result<MeasuredShare, ResponseError> {
     if !error.is_finite() || error > LARGEST_ERROR {
         return Err(ResponseError::NoLight);
     }
-    Ok(MeasuredShare { transmission: share, error, tiles: tiles.len() })
+    // Tiles without light decide nothing.
+    let deciding = squared * squared / tiles.iter().map(|tile| tile.squared * tile.squared).sum::<f64>();
+    Ok(MeasuredShare { transmission: share, error, freedom: (deciding - 1.0).max(1.0) })
 }
 
 #[cfg(test)]

@@ -57,9 +57,8 @@ fn maps_are_recovered_within_their_errors_and_broken_pixels_are_found() {
         assert_eq!(*fault, truth, "pixel {pixel}");
     }
     let offset = judge(&found, [&found.offset, &found.offset_error], |p| sensor.dark_mean_counts(p));
-    let gain = judge(&found, [&found.gain, &found.gain_error], |pixel| {
-        f64::from(sensor.gain_counts_per_electron[pixel])
-    });
+    let gain =
+        judge(&found, [&found.gain, &found.gain_error], |pixel| sensor.gain_counts_per_electron[pixel]);
     let variance = judge(&found, [&found.read_variance, &found.read_variance_error], |pixel| {
         sensor.dark_variance_counts2(pixel)
     });

@@ -104,4 +104,8 @@ fn a_run_with_every_calibration_its_replay_and_its_offline_analysis_are_the_same
         fs::remove_file(file).unwrap();
     }
     said(&["replay", text(&run), "--verify", "--out", text(&bench.path("again"))]);
+    let zarr = bench.path("zarr");
+    said(&["export", text(&run), "--format", "ome-zarr", "--out", text(&zarr)]);
+    said(&["replay", text(&zarr), "--speed", "max", "--out", text(&bench.path("from-zarr"))]);
+    assert_same_bits(&run.join("results"), &bench.path("from-zarr"));
 }

@@ -54,16 +54,16 @@ impl Digitizer {
         for (pixel, (count, &photons)) in counts.iter_mut().zip(photons).enumerate() {
             let mut electrons = self.electrons(photons, noise);
             if sensor.is_hot[pixel] {
-                let more = f64::from(sensor.dark_electrons[pixel]) - model.dark_electrons_per_exposure;
+                let more = sensor.dark_electrons[pixel] - model.dark_electrons_per_exposure;
                 electrons += poisson::draw(more, dark);
             }
             if sensor.is_dead[pixel] {
                 electrons = 0.0;
             }
             let own = Pixel {
-                offset: f64::from(sensor.offset_counts[pixel]),
-                gain: f64::from(sensor.gain_counts_per_electron[pixel]),
-                read_noise: f64::from(sensor.read_noise_electrons[pixel]),
+                offset: sensor.offset_counts[pixel],
+                gain: sensor.gain_counts_per_electron[pixel],
+                read_noise: sensor.read_noise_electrons[pixel],
             };
             *count = self.count(electrons, &own, noise);
         }

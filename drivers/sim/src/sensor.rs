@@ -17,13 +17,13 @@ const ROUNDING: f64 = 1.0 / 12.0;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sensor {
     /// Counts without any electron.
-    pub offset_counts: Vec<f32>,
+    pub offset_counts: Vec<f64>,
     /// Counts per electron.
-    pub gain_counts_per_electron: Vec<f32>,
+    pub gain_counts_per_electron: Vec<f64>,
     /// Standard deviation of the read noise, electrons.
-    pub read_noise_electrons: Vec<f32>,
+    pub read_noise_electrons: Vec<f64>,
     /// Mean dark electrons per exposure.
-    pub dark_electrons: Vec<f32>,
+    pub dark_electrons: Vec<f64>,
     /// Pixels of far more dark electrons than the others.
     pub is_hot: Vec<bool>,
     /// Pixels that see no light.
@@ -43,7 +43,7 @@ impl Sensor {
             offset_counts: Vec::with_capacity(pixels),
             gain_counts_per_electron: Vec::with_capacity(pixels),
             read_noise_electrons: Vec::with_capacity(pixels),
-            dark_electrons: vec![model.dark_electrons_per_exposure as f32; pixels],
+            dark_electrons: vec![model.dark_electrons_per_exposure; pixels],
             is_hot: vec![false; pixels],
             is_dead: vec![false; pixels],
         };
@@ -52,14 +52,14 @@ impl Sensor {
             // A gain that is not positive would be no camera.
             let gain = model.gain_counts_per_electron * (1.0 + spread.gain_spread * normal()).max(0.1);
             let noise = model.read_noise_electrons * libm::exp(spread.read_noise_spread * normal());
-            sensor.offset_counts.push(offset as f32);
-            sensor.gain_counts_per_electron.push(gain as f32);
-            sensor.read_noise_electrons.push(noise as f32);
+            sensor.offset_counts.push(offset);
+            sensor.gain_counts_per_electron.push(gain);
+            sensor.read_noise_electrons.push(noise);
         }
         for pixel in chosen(spread.hot_share, &sensor.is_hot, &mut rng) {
             sensor.is_hot[pixel] = true;
             let [least, most] = spread.hot_electrons;
-            sensor.dark_electrons[pixel] += between(&mut rng, least, most) as f32;
+            sensor.dark_electrons[pixel] += between(&mut rng, least, most);
         }
         for pixel in chosen(spread.dead_share, &sensor.is_hot, &mut rng) {
             sensor.is_dead[pixel] = true;
@@ -70,18 +70,18 @@ impl Sensor {
     /// Mean of a pixel in the dark, counts, as long as it is not saturated.
     #[must_use]
     pub fn dark_mean_counts(&self, pixel: usize) -> f64 {
-        let electrons = if self.is_dead[pixel] { 0.0 } else { self.dark_electrons[pixel] };
-        f64::from(self.offset_counts[pixel])
-            + f64::from(self.gain_counts_per_electron[pixel]) * f64::from(electrons)
+        self.offset_counts[pixel] + self.gain_counts_per_electron[pixel] * self.dark(pixel)
     }
 
     /// Variance of a pixel in the dark, counts squared, with that of rounding to whole counts.
     #[must_use]
     pub fn dark_variance_counts2(&self, pixel: usize) -> f64 {
-        let electrons = if self.is_dead[pixel] { 0.0 } else { self.dark_electrons[pixel] };
-        let (gain, read) =
-            (f64::from(self.gain_counts_per_electron[pixel]), f64::from(self.read_noise_electrons[pixel]));
-        gain * gain * (read * read + f64::from(electrons)) + ROUNDING
+        let (gain, read) = (self.gain_counts_per_electron[pixel], self.read_noise_electrons[pixel]);
+        gain * gain * (read * read + self.dark(pixel)) + ROUNDING
+    }
+
+    fn dark(&self, pixel: usize) -> f64 {
+        if self.is_dead[pixel] { 0.0 } else { self.dark_electrons[pixel] }
     }
 }
 
@@ -126,8 +126,8 @@ mod tests {
             (&sensor.gain_counts_per_electron, model.gain_counts_per_electron, 0.01 / 0.46),
         ] {
             let n = pixels as f64;
-            let found = values.iter().map(|&value| f64::from(value)).sum::<f64>() / n;
-            let variance = values.iter().map(|&value| (f64::from(value) - found).powi(2)).sum::<f64>() / n;
+            let found = values.iter().sum::<f64>() / n;
+            let variance = values.iter().map(|&value| (value - found).powi(2)).sum::<f64>() / n;
             assert!((found - mean).abs() < 4.0 * spread / n.sqrt(), "{found}");
             assert!((variance.sqrt() / spread - 1.0).abs() < 4.0 / (2.0 * n).sqrt(), "{variance}");
         }

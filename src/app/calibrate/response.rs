@@ -19,9 +19,6 @@ use std::path::{Path, PathBuf};
 /// Longest registration file that is read.
 const MOST_BYTES: u64 = 1 << 20;
 
-/// Standard errors of the uncertainty that is stated: nineteen of twenty measurements lie within.
-const COVERAGE: f64 = 2.0;
-
 /// Arguments of `calibrate response`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
@@ -31,7 +28,7 @@ const COVERAGE: f64 = 2.0;
   sofiscope analyze r.tif t.tif --species \"Alexa Fluor 488,Atto 565\" --response response.toml --out result
 
 A sample holds one dye only. Without a blank it needs structure that is brighter than its surroundings; an evenly
-stained sample needs one. The stated uncertainty is two standard errors.")]
+stained sample needs one. The stated uncertainty holds the truth in 95 of 100 measurements.")]
 pub(super) struct ResponseArguments {
     /// A dye and its recording: NAME=RECORDING or NAME=STACK-R,STACK-T; give one for each dye
     #[arg(long, required = true, value_name = "NAME=FILES")]
@@ -61,7 +58,7 @@ pub(super) struct ResponseArguments {
 struct Measured {
     fluorophore: String,
     transmission: f64,
-    /// Two standard errors.
+    /// Of 95 %.
     transmission_uncertainty: f64,
     recording: String,
 }
@@ -109,7 +106,7 @@ pub(super) fn run(arguments: &ResponseArguments) -> Result<(), AppError> {
                 fluorophore: name.clone(),
                 // Chance may put a share close to an end beyond it.
                 transmission: share.transmission.clamp(0.0, 1.0),
-                transmission_uncertainty: COVERAGE * share.error,
+                transmission_uncertainty: share.uncertainty(),
                 recording: (*files).to_owned(),
             })
         })
@@ -221,7 +218,8 @@ fn file_text(arguments: &ResponseArguments, bench: &Bench, measured: &[Measured]
     let quoted = |text: &str| toml::Value::from(text).to_string();
     let mut text = format!(
         "# Shares of the light of each dye on camera T, made by `sofiscope calibrate response`; R = 1 - T.\n\
-         # They are shares of counts, as the unmixing takes them. Uncertainties are two standard errors.\n\
+         # They are shares of counts, as the unmixing takes them. Uncertainties are those of 95 %: two standard\n\
+         # errors, or more where few places decide.\n\
          [[dichroic]]\n\
          name = {}\n\
          about = \"measured on single-stained samples\"\n\
