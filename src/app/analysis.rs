@@ -1,9 +1,11 @@
 //! One analysis from the first frame to the last image, for files, the simulator and the demo alike.
 
 use super::AppError;
+use super::camera_maps::{MapsPlace, UsedMaps, used_maps};
+use super::mixing::{contradiction_warnings, dyes, mixing, species};
 use super::progress::Progress;
 use super::registering::registered;
-use crate::config::{AnalysisSettings, Catalogue};
+use crate::config::AnalysisSettings;
 use crate::reconstruction::{
     AllCores, ChainSettings, Feed, FeedError, FlatteningKind, Quality, Stages, feed, reconstruct,
 };
@@ -13,8 +15,9 @@ use crate::sofi::grid::VirtualPixelGrid;
 use crate::sofi::linearization::LinearizationSettings;
 use crate::sofi::psf::{Psf, PsfError};
 use crate::sofi::spectra::Species;
-use crate::sofi::unmixing::{UnmixingError, UnmixingMatrix};
-use ndarray::array;
+use crate::sofi::unmixing::UnmixingMatrix;
+use sofiscope_hal::Region;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Exposures per subsequence in the paper (2000 frames in 10 runs).
@@ -48,6 +51,19 @@ pub(super) struct Source {
     pub(super) serials: [Option<String>; 2],
     /// Text of the registration that the source knows.
     pub(super) registration: Option<String>,
+    /// What else the source knows of its cameras and dyes.
+    pub(super) calibrations: Calibrations,
+}
+
+/// Calibrations that a source knows, beside its registration.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Calibrations {
+    /// Maps of the pixels of each camera; empty for none.
+    pub(super) camera_maps: Vec<Option<MapsPlace>>,
+    /// The part of the sensor that is read, of R and T, where known.
+    pub(super) regions: [Option<Region>; 2],
+    /// Text of measured shares of the dyes' light.
+    pub(super) response: Option<String>,
 }
 
 /// Settings that fit a source: everything that can be refused before the first frame.
@@ -63,6 +79,10 @@ pub(super) struct Prepared {
     pub(super) warnings: Vec<String>,
     /// Text of the registration that is used.
     pub(super) registration: Option<String>,
+    /// Maps of the pixels of each camera that are used; empty for none.
+    pub(super) camera_maps: Vec<Option<UsedMaps>>,
+    /// Text of the measured shares of the dyes' light that are used.
+    pub(super) response: Option<String>,
 }
 
 /// Width of a point-spread function.
@@ -95,7 +115,10 @@ impl Prepared {
     pub(super) fn new(settings: AnalysisSettings, source: Source) -> Result<Self, AppError> {
         let mut warnings = Vec::new();
         let mut engine = engine_settings(&settings, &source)?;
-        let registered = registered(&settings, &source)?;
+        let camera_maps = used_maps(&settings, &source)?;
+        engine.cameras =
+            camera_maps.iter().map(|used| used.as_ref().map(|used| Arc::clone(&used.maps))).collect();
+        let registered = registered(&settings, &source, &camera_maps)?;
         engine.registration = registered.as_ref().map(|registered| registered.settings);
         warnings.extend(registered.iter().flat_map(|registered| registered.warnings.clone()));
         let registration = registered.map(|registered| registered.text);
@@ -103,7 +126,8 @@ impl Prepared {
         if let Some(sigma_px) = settings.psf_sigma_px {
             Psf::gaussian(sigma_px).map_err(|error| unlike_a_psf(&error))?;
         }
-        let species = species(&settings, &source, &mut warnings)?;
+        let (catalogue, response) = dyes(&settings, &source)?;
+        let species = species(&settings, &source, &catalogue, &mut warnings)?;
         let matrix = mixing(&settings, &source, &species)?;
         let pixel_pitch_nm = settings.pixel_pitch_nm.or(source.pixel_pitch_nm).unwrap_or_else(|| {
             warnings.push(format!(
@@ -112,7 +136,19 @@ impl Prepared {
             ));
             PAPER_PITCH_NM
         });
-        Ok(Self { settings, source, engine, grid, matrix, species, pixel_pitch_nm, warnings, registration })
+        Ok(Self {
+            settings,
+            source,
+            engine,
+            grid,
+            matrix,
+            species,
+            pixel_pitch_nm,
+            warnings,
+            registration,
+            camera_maps,
+            response,
+        })
     }
 
     /// Runs the analysis on frames that `read` supplies, see [`feed`].
@@ -155,6 +191,7 @@ impl Prepared {
         steps.push(("unmixing, flattening, linearization".to_owned(), begun.elapsed().as_secs_f64()));
         let mut warnings = self.warnings.clone();
         warnings.extend(subsequence_warnings(&self.engine, &feed, &drawing));
+        warnings.extend(contradiction_warnings(&self, &drawing)?);
         Ok(Analysis { prepared: self, drawing, stages, feed, widths, steps, warnings, quality: None })
     }
 
@@ -163,7 +200,7 @@ impl Prepared {
         for ((variance, mean), (role, path, _)) in
             drawing.variances.iter().zip(&drawing.means).zip(&self.source.inputs)
         {
-            if variance.iter().all(|&variance| variance <= 0.0) {
+            if !variance.iter().any(|&variance| variance > 0.0) {
                 let count = mean.iter().fold(f32::NEG_INFINITY, |most, &value| most.max(value));
                 return Err(AppError::Data(format!(
                     "{role} {path}: no pixel ever changes (counts up to {count}), so there is nothing to analyze; \
@@ -256,84 +293,10 @@ fn engine_settings(settings: &AnalysisSettings, source: &Source) -> Result<Cumul
     })
 }
 
-/// The species to unmix: those named, those that the source knows, or one unnamed one behind a single camera.
-fn species(
-    settings: &AnalysisSettings,
-    source: &Source,
-    warnings: &mut Vec<String>,
-) -> Result<Vec<Species>, AppError> {
-    if settings.species.is_empty() {
-        if let Some(species) = &source.species {
-            return Ok(species.clone());
-        }
-        if source.inputs.len() == 1 {
-            return Ok(vec![Species::new("sample", 0.0).map_err(AppError::usage)?]);
-        }
-        warnings.push(
-            "No dyes were named, so nothing was unmixed: give --species and --dichroic for species images."
-                .to_owned(),
-        );
-        return Ok(Vec::new());
-    }
-    let Some(dichroic) = &settings.dichroic else {
-        if source.inputs.len() == 1 && settings.species.len() == 1 {
-            let catalogue = Catalogue::built_in();
-            let dye = catalogue.fluorophore(&settings.species[0]).map_err(AppError::usage)?;
-            let one = Species::new(dye.name(), 0.0).map_err(AppError::usage)?;
-            return Ok(vec![Species { emission_nm: dye.emission_nm(), ..one }]);
-        }
-        let known: Vec<_> = Catalogue::built_in().dichroics().iter().map(|d| d.name().to_owned()).collect();
-        return Err(AppError::Usage(format!(
-            "species were named without the dichroic between the cameras; give --dichroic, one of: {}",
-            known.join(", ")
-        )));
-    };
-    Catalogue::built_in().species(&settings.species, dichroic).map_err(AppError::usage)
-}
-
-fn mixing(
-    settings: &AnalysisSettings,
-    source: &Source,
-    species: &[Species],
-) -> Result<Option<UnmixingMatrix>, AppError> {
-    match (source.inputs.len(), species.len()) {
-        (_, 0) => Ok(None),
-        (1, 1) => {
-            let name = [species[0].name.clone()];
-            let all_light = array![[1.0]];
-            let matrix = UnmixingMatrix::from_proportions(settings.order, &name, &all_light);
-            matrix.map(Some).map_err(AppError::usage)
-        }
-        (1, several) => Err(AppError::Usage(format!(
-            "{several} species cannot be told apart with one camera; give the transmission stack as well, \
-             or name one species"
-        ))),
-        _ => UnmixingMatrix::new(settings.order, species)
-            .map(Some)
-            .map_err(|error| inseparable(&error, settings.dichroic.as_deref())),
-    }
-}
-
 fn unlike_a_psf(error: &PsfError) -> AppError {
     AppError::Usage(format!(
         "the point-spread function: {error}; check psf_sigma_px, or pixel_pitch_nm and numerical_aperture"
     ))
-}
-
-/// The error of the unmixing with what can be done about it.
-fn inseparable(error: &UnmixingError, dichroic: Option<&str>) -> AppError {
-    AppError::Usage(match error {
-        UnmixingError::TooManySpecies { species, spectral_channels } => format!(
-            "{species} species cannot be told apart by {spectral_channels} spectral channels; \
-             choose --order {} or name at most {spectral_channels}",
-            species - 1
-        ),
-        UnmixingError::Indistinguishable { .. } => {
-            let behind = dichroic.map_or(String::new(), |name| format!(" behind {name}"));
-            format!("{error}{behind}; name only one of them or use another dichroic")
-        }
-        other => other.to_string(),
-    })
 }
 
 /// What the reader must know about subsequences that were left out or counted in part.

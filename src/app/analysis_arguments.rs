@@ -25,6 +25,12 @@ pub(super) struct AnalysisArguments {
     /// How T is brought onto R: unbiased-sinc or bilinear-frames [default: unbiased-sinc]
     #[arg(long, value_name = "NAME")]
     registration_method: Option<String>,
+    /// Maps of each camera's pixels, R before T, as `calibrate camera` writes them; none for a camera without
+    #[arg(long, value_delimiter = ',', value_name = "FILES")]
+    camera_maps: Option<Vec<String>>,
+    /// Measured shares of the dyes' light, as `calibrate response` writes them
+    #[arg(long, value_name = "FILE")]
+    response: Option<String>,
 }
 
 impl AnalysisArguments {
@@ -37,6 +43,8 @@ impl AnalysisArguments {
             dichroic: self.dichroic.clone(),
             registration_file: self.registration.clone(),
             registration: self.registration_method.clone(),
+            camera_maps: self.camera_maps.clone(),
+            response_file: self.response.clone(),
             ..RawAnalysis::default()
         }
     }

@@ -2,6 +2,7 @@
 
 use super::AppError;
 use super::analysis::Prepared;
+use super::camera_maps::UsedMaps;
 use crate::config::RawAnalysis;
 use crate::sofi::spectra::{Species, SpectralResponse};
 use serde::{Deserialize, Serialize};
@@ -19,6 +20,12 @@ pub(super) struct AnalysisNote {
     /// The text of the registration that was used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) registration: Option<String>,
+    /// The texts beside the maps of each camera; the maps are in the directory of the recording.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) camera_maps: Vec<Option<String>>,
+    /// The text of the measured shares of the dyes' light that were used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) response: Option<String>,
 }
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -37,6 +44,9 @@ impl AnalysisNote {
         settings.pixel_pitch_nm = Some(prepared.pixel_pitch_nm);
         // Its text is kept instead, as the file may change.
         settings.registration_file = None;
+        settings.response_file = None;
+        settings.camera_maps = None;
+        let kept = |(camera, used): (usize, &Option<UsedMaps>)| Some(used.as_ref()?.kept_text(camera));
         let note = |species: &Species| SpeciesNote {
             name: species.name.clone(),
             transmission: species.response.transmission(),
@@ -47,6 +57,8 @@ impl AnalysisNote {
             settings,
             species: prepared.source.species.iter().flatten().map(note).collect(),
             registration: prepared.registration.clone(),
+            camera_maps: prepared.camera_maps.iter().enumerate().map(kept).collect(),
+            response: prepared.response.clone(),
         }
     }
 

@@ -1,7 +1,7 @@
 //! `analyze`: from two stacks of frames, or one, to the unmixed super-resolved image.
 
 use super::AppError;
-use super::analysis::{Prepared, Source};
+use super::analysis::{Calibrations, Prepared, Source};
 use super::analysis_arguments::AnalysisArguments;
 use super::replay::{ReplayRequest, play};
 use super::results::{ensure_space, write_results};
@@ -11,6 +11,7 @@ use crate::files::{ImageStack, OutputDirectory, SampleType};
 use crate::reconstruction::BLOCK;
 use crate::replay::{ReplayOptions, ReplaySpeed};
 use crate::sofi::cumulant::Count;
+use ndarray::Array2;
 use std::path::{Path, PathBuf};
 
 /// Share of saturated pixel values above which the report warns.
@@ -80,11 +81,12 @@ pub(super) fn run(arguments: &AnalyzeArguments) -> Result<(), AppError> {
     let limit = prepared.settings.saturation_counts;
     let analysis = if float {
         let limit = limit.unwrap_or(f32::INFINITY);
-        let mut saturation = Saturation::new(&stacks, |_| limit);
+        let mut saturation = Saturation::new(&stacks, &prepared, |_| limit);
         let analysis = prepared.run::<f32>(|_, blocks| read_block(&mut stacks, blocks, &mut saturation))?;
         saturation.warn(analysis)?
     } else {
-        let mut saturation = Saturation::new(&stacks, |sample| limit.unwrap_or(largest_count(sample)));
+        let mut saturation =
+            Saturation::new(&stacks, &prepared, |sample| limit.unwrap_or(largest_count(sample)));
         let analysis = prepared.run::<u16>(|_, blocks| read_block(&mut stacks, blocks, &mut saturation))?;
         saturation.warn(analysis)?
     };
@@ -214,6 +216,7 @@ fn source(stacks: &[ImageStack]) -> Result<Source, AppError> {
         species: None,
         serials: [None, None],
         registration: None,
+        calibrations: Calibrations::default(),
     })
 }
 
@@ -275,13 +278,19 @@ struct SaturatedCamera {
     limit: f32,
     saturated: u64,
     seen: u64,
+    /// Pixels that are left out anyway.
+    mask: Option<Array2<bool>>,
 }
 
 impl Saturation {
-    fn new(stacks: &[ImageStack], limit: impl Fn(SampleType) -> f32) -> Self {
-        let camera =
-            |stack: &ImageStack| SaturatedCamera { limit: limit(stack.info().sample), saturated: 0, seen: 0 };
-        Self { cameras: stacks.iter().map(camera).collect() }
+    fn new(stacks: &[ImageStack], prepared: &Prepared, limit: impl Fn(SampleType) -> f32) -> Self {
+        let camera = |(channel, stack): (usize, &ImageStack)| SaturatedCamera {
+            limit: limit(stack.info().sample),
+            saturated: 0,
+            seen: 0,
+            mask: prepared.engine.camera(channel).and_then(|maps| maps.mask()),
+        };
+        Self { cameras: stacks.iter().enumerate().map(camera).collect() }
     }
 
     fn warn(&self, mut analysis: super::analysis::Analysis) -> Result<super::analysis::Analysis, AppError> {
@@ -302,7 +311,11 @@ impl Saturation {
 impl SaturatedCamera {
     fn look_at<T: Count>(&mut self, frame: &[T]) {
         self.seen += frame.len() as u64;
-        self.saturated += frame.iter().filter(|count| count.counts() >= self.limit).count() as u64;
+        let mut saturated = frame.iter().enumerate().filter(|(_, count)| count.counts() >= self.limit);
+        self.saturated += match self.mask.as_ref().and_then(|mask| mask.as_slice()) {
+            Some(mask) => saturated.filter(|(pixel, _)| !mask[*pixel]).count() as u64,
+            None => saturated.by_ref().count() as u64,
+        };
     }
 }
 

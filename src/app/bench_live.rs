@@ -172,6 +172,7 @@ fn prepared(side: u32, frames: u64, order: usize) -> Result<Prepared, AppError> 
         species: None,
         serials: [None, None],
         registration: None,
+        calibrations: analysis::Calibrations::default(),
     };
     Prepared::new(AnalysisSettings::try_from(raw).map_err(AppError::usage)?, source)
 }

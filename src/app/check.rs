@@ -1,6 +1,6 @@
 //! `check`: all faults of a file of settings at once, each with its line and what to do.
 //!
-//! In: a plan, an instrument, a registration, a scene, a scenario of faults, a catalogue of fluorophores or one of dichroics. Out: its kind and its faults.
+//! In: a plan, an instrument, a registration, camera maps, a scene, a scenario of faults, a catalogue of fluorophores or one of dichroics. Out: its kind and its faults.
 //! Never: changes the file, stops at the first fault. Fails: [`AppError`] when there is a fault, so that scripts see it.
 
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use toml::de::DeTable;
 
 use super::AppError;
 use super::text_file::read_text;
-use crate::config::{Catalogue, Fault, Instrument, Registration, nearest};
+use crate::config::{CameraCalibration, Catalogue, Fault, Instrument, Registration, nearest};
 use crate::control::plan::Plan;
 
 /// A file of settings is refused unread above this size.
@@ -25,7 +25,7 @@ struct Kind {
     faults: fn(&Path, &str) -> Vec<Fault>,
 }
 
-const KINDS: [Kind; 6] = [
+const KINDS: [Kind; 7] = [
     Kind {
         name: "scene",
         keys: &[
@@ -57,6 +57,13 @@ const KINDS: [Kind; 6] = [
         faults: |_, text| Registration::from_toml(text).err().map_or_else(Vec::new, |error| error.faults),
     },
     Kind {
+        name: "camera maps",
+        keys: &["camera_maps_version", "maps_file", "saturation_counts", "dark_recording", "flat_recordings"],
+        faults: |_, text| {
+            CameraCalibration::from_toml(text).err().map_or_else(Vec::new, |error| error.faults)
+        },
+    },
+    Kind {
         name: "scenario",
         keys: &["faults", "pace", "speed", "exposures"],
         faults: |_, text| scenario_faults(text),
@@ -80,7 +87,7 @@ const PLAN: Kind = Kind {
 Exit code 0 without a fault, 2 with any. A file of dichroics is checked against the fluorophores.toml beside it,
 or against the built-in fluorophores if there is none.")]
 pub struct CheckArguments {
-    /// Plan, instrument, registration, scene, scenario, fluorophores or dichroics file
+    /// Plan, instrument, registration, camera maps, scene, scenario, fluorophores or dichroics file
     file: PathBuf,
     /// Print one object on stdout
     #[arg(long)]
@@ -92,7 +99,7 @@ pub struct CheckArguments {
 pub struct Findings {
     /// The file.
     pub file: PathBuf,
-    /// Its kind: `plan`, `instrument`, `registration`, `scene`, `scenario`, `fluorophores` or `dichroics`; `None` if it cannot be told.
+    /// Its kind: `plan`, `instrument`, `registration`, `camera maps`, `scene`, `scenario`, `fluorophores` or `dichroics`; `None` if it cannot be told.
     pub kind: Option<&'static str>,
     /// True without any fault.
     pub valid: bool,

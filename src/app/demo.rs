@@ -133,6 +133,7 @@ fn source(world: &World) -> Result<analysis::Source, AppError> {
         species: Some(species_of(world)?),
         serials: [None, None],
         registration: None,
+        calibrations: analysis::Calibrations::default(),
     })
 }
 

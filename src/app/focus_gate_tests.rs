@@ -103,6 +103,7 @@ fn record(out: &Path) -> (u64, u64) {
         species: Some(species_of(&world).unwrap()),
         serials: [None, None],
         registration: None,
+        calibrations: analysis::Calibrations::default(),
     };
     let prepared = Prepared::new(AnalysisSettings::try_from(raw.clone()).unwrap(), source).unwrap();
     let options = PathOptions {

@@ -5,6 +5,7 @@
 
 use super::AppError;
 use super::analysis::{self, Prepared};
+use super::camera_maps::MapsPlace;
 use super::hardware::{self, Guarded, StageHandle};
 use super::session::stop_with_interrupts;
 use super::simulated::{self, Rig, RigFacts};
@@ -95,6 +96,10 @@ pub(super) struct About {
     species: Option<Vec<Species>>,
     /// Text of the registration of camera T onto camera R that the instrument file names.
     registration: Option<String>,
+    /// Maps of the pixels of both cameras that it names.
+    camera_maps: Vec<Option<MapsPlace>>,
+    /// Text of the measured shares of the dyes' light that it names.
+    response: Option<String>,
     pixel_pitch_nm: f64,
     regions: [Option<Region>; 2],
 }
@@ -111,15 +116,21 @@ impl OpenInstrument {
         sample: Sample,
     ) -> Result<Self, AppError> {
         let is_simulated = instrument.cameras().iter().any(|camera| camera.kind == CameraKind::Simulated);
-        // A registration that cannot be read is told before any device is touched.
-        let registration = instrument.registration_file().map(|file| {
-            let beside = path.parent().unwrap_or(Path::new("")).join(file);
-            read_text(&beside, MOST_BYTES)
-        });
-        let registration = registration.transpose()?;
+        // A calibration that cannot be read is told before any device is touched.
+        let beside = |file: &str| path.parent().unwrap_or(Path::new("")).join(file);
+        let text_of = |file: Option<&str>| file.map(|file| read_text(&beside(file), MOST_BYTES)).transpose();
+        let registration = text_of(instrument.registration_file())?;
+        let response = text_of(instrument.response_file())?;
+        let maps_of = |channel| {
+            let file = instrument.camera(channel).and_then(|camera| camera.maps_file.as_deref());
+            file.map(|file| MapsPlace::of(&beside(file))).transpose()
+        };
+        let camera_maps = vec![maps_of(Channel::Reflected)?, maps_of(Channel::Transmitted)?];
         let mut open =
             if is_simulated { simulated(instrument, path, sample)? } else { real(instrument, text)? };
         open.about.registration = registration;
+        open.about.response = response;
+        open.about.camera_maps = camera_maps;
         Ok(open)
     }
 }
@@ -132,7 +143,10 @@ impl About {
 
     /// What the cameras give for a plan, as the analysis sees it.
     pub(super) fn source(&self, plan: &Plan) -> analysis::Source {
-        self.source_of(plan.region(Channel::Reflected), plan.cameras().period, plan.exposures_per_series())
+        let (region, period) = (plan.region(Channel::Reflected), plan.cameras().period);
+        let mut source = self.source_of(region, period, plan.exposures_per_series());
+        source.calibrations.regions[1] = plan.region(Channel::Transmitted).or(self.regions[1]);
+        source
     }
 
     /// The same for a region, a period and a number of exposures.
@@ -142,6 +156,7 @@ impl About {
         period: Duration,
         exposures: Option<u64>,
     ) -> analysis::Source {
+        let wanted = region;
         let region = region.or(self.regions[0]);
         let whole = match &self.scene {
             Some((_, [height, width])) => (*width, *height),
@@ -169,6 +184,11 @@ impl About {
             species: self.species.clone(),
             serials: self.facts.identities.each_ref().map(|identity| Some(identity.serial.clone())),
             registration: self.registration.clone(),
+            calibrations: analysis::Calibrations {
+                camera_maps: self.camera_maps.clone(),
+                regions: self.regions.map(|of_file| wanted.or(of_file)),
+                response: self.response.clone(),
+            },
         }
     }
 
@@ -250,6 +270,8 @@ fn real(instrument: &Instrument, text: &str) -> Result<OpenInstrument, AppError>
         scene: None,
         species: None,
         registration: None,
+        camera_maps: Vec::new(),
+        response: None,
         pixel_pitch_nm: instrument.pixel_pitch_nm(),
         regions: Channel::BOTH.map(|channel| instrument.camera(channel).and_then(|camera| camera.region)),
     };
@@ -299,6 +321,8 @@ fn simulated(instrument: &Instrument, path: &Path, lasts: Sample) -> Result<Open
         lights: None,
         species: Some(species_of(&world)?),
         registration: None,
+        camera_maps: Vec::new(),
+        response: None,
         scene: Some((scene.name().to_owned(), [scene.height_px(), scene.width_px()])),
         pixel_pitch_nm: instrument.pixel_pitch_nm(),
         regions: Channel::BOTH.map(|channel| instrument.camera(channel).and_then(|camera| camera.region)),

@@ -1,6 +1,7 @@
 //! `recover` and `export`: recordings after a crash, and in the other format.
 
 use super::AppError;
+use super::camera_maps::copy_kept;
 use crate::recording::{Format, export, recover};
 use std::path::PathBuf;
 
@@ -58,6 +59,7 @@ pub(super) fn run_export(arguments: &ExportArguments) -> Result<(), AppError> {
         other => return Err(AppError::Usage(format!("--format {other:?}: choose ome-tiff or ome-zarr"))),
     };
     let summary = export(&arguments.recording, format, &arguments.out).map_err(AppError::data)?;
+    copy_kept(&arguments.recording, &arguments.out)?;
     let [reflected, transmitted] = summary.recorded;
     println!("{}: {reflected} frames of camera R, {transmitted} of camera T", summary.directory.display());
     Ok(())

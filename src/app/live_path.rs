@@ -194,6 +194,11 @@ impl LivePath {
             provenance: self.options.provenance.clone(),
         };
         let recording = Recording::create(&plan).map_err(|error| recording_error(&error))?;
+        let maps = self.options.analysis.iter().flat_map(|prepared| prepared.camera_maps.iter().enumerate());
+        for (camera, used) in maps.filter_map(|(camera, used)| Some((camera, used.as_ref()?))) {
+            used.keep(camera, &plan.directory)
+                .map_err(|error| DataPathError::Recording(error.to_string()))?;
+        }
         Ok(Some(Recorder { recording, status: RecorderStatus::default() }))
     }
 }

@@ -5,9 +5,10 @@
 
 use super::AppError;
 use super::analysis::Source;
+use super::camera_maps::UsedMaps;
 use super::text_file::read_text;
 use crate::config::{AnalysisSettings, Registration};
-use crate::sofi::registration::RegistrationSettings;
+use crate::sofi::registration::{NoiseLine, RegistrationSettings};
 
 /// Longest file that is read.
 pub(super) const MOST_BYTES: u64 = 1 << 20;
@@ -21,10 +22,11 @@ pub(super) struct Registered {
     pub(super) warnings: Vec<String>,
 }
 
-/// The registration that the settings name, or that the source knows.
+/// The registration that the settings name, or that the source knows; maps of T know its noise where that does not.
 pub(super) fn registered(
     settings: &AnalysisSettings,
     source: &Source,
+    camera_maps: &[Option<UsedMaps>],
 ) -> Result<Option<Registered>, AppError> {
     let (text, place) = match (&settings.registration_file, &source.registration) {
         (Some(path), _) => (read_text(path, MOST_BYTES)?, path.display().to_string()),
@@ -34,7 +36,12 @@ pub(super) fn registered(
         (None, None) => return Ok(None),
     };
     let refused = |reason: &dyn std::fmt::Display| AppError::Usage(format!("{place}: {reason}"));
-    let registration = Registration::from_toml(&text).map_err(|faults| refused(&faults))?;
+    let mut registration = Registration::from_toml(&text).map_err(|faults| refused(&faults))?;
+    if let Some(Some(used)) = camera_maps.get(1) {
+        let [gain, offset, read_variance] = used.maps.typical();
+        let line = NoiseLine { slope: gain, at_zero: read_variance - gain * offset };
+        registration.noise.get_or_insert(line);
+    }
     if source.inputs.len() != 2 {
         return Err(refused(&"a registration needs two cameras; leave it out for one"));
     }

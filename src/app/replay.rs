@@ -4,6 +4,7 @@ use super::AppError;
 use super::analysis::{self, Prepared};
 use super::analysis_arguments::AnalysisArguments;
 use super::analysis_note::{self, AnalysisNote};
+use super::camera_maps::MapsPlace;
 use super::live_path::PathOptions;
 use super::run::free_name;
 use super::session::{Ended, acquire, analysis_of, write};
@@ -144,7 +145,7 @@ pub(super) fn playable(request: ReplayRequest<'_>) -> Result<Playable, AppError>
     let ReplayRequest { paths, options, settings, as_live } = request;
     let (speed, start) = (options.speed, options.start);
     let replay = open(paths, options).map_err(AppError::data)?;
-    let prepared = prepare(&replay, settings, start)?;
+    let prepared = prepare(&replay, settings, start, &paths[0])?;
     let mut left_out = replay.info.left_out_from(start);
     // What the live analysis had no time for can be analyzed now; what is out of focus stays out.
     left_out.retain(|_, reason| as_live || *reason == Loss::OutOfFocus);
@@ -196,7 +197,7 @@ pub(super) fn play(
 }
 
 /// Settings as given, else as the recording was analyzed.
-fn prepare(replay: &Replay, given: RawAnalysis, start: u64) -> Result<Prepared, AppError> {
+fn prepare(replay: &Replay, given: RawAnalysis, start: u64, folder: &Path) -> Result<Prepared, AppError> {
     let info = &replay.info;
     let note = info.provenance.iter().find(|(name, _)| name == analysis_note::FILE);
     let note = note.map(|(_, text)| AnalysisNote::read(text)).transpose()?;
@@ -206,6 +207,14 @@ fn prepare(replay: &Replay, given: RawAnalysis, start: u64) -> Result<Prepared, 
     };
     let settings = AnalysisSettings::try_from(raw).map_err(AppError::usage)?;
     let input = |role: &str| (role.to_owned(), info.description.clone(), "uint16".to_owned());
+    // Foreign files do not know where on the sensor their frames lie.
+    let regions =
+        replay.cameras.each_ref().map(|camera| note.as_ref().map(|_| camera.recorded_settings().region));
+    let kept_maps = |text: &Option<String>| {
+        let text = text.clone()?;
+        let name = format!("the camera maps of {}", folder.display());
+        Some(MapsPlace { text, folder: folder.to_owned(), name })
+    };
     let source = analysis::Source {
         inputs: vec![input("camera R"), input("camera T")],
         height: info.height as usize,
@@ -216,7 +225,12 @@ fn prepare(replay: &Replay, given: RawAnalysis, start: u64) -> Result<Prepared, 
         simulated: info.simulated,
         species: note.as_ref().map(AnalysisNote::species).transpose()?.flatten(),
         serials: [None, None],
-        registration: note.and_then(|note| note.registration),
+        registration: note.as_ref().and_then(|note| note.registration.clone()),
+        calibrations: analysis::Calibrations {
+            camera_maps: note.iter().flat_map(|note| &note.camera_maps).map(kept_maps).collect(),
+            regions,
+            response: note.and_then(|note| note.response),
+        },
     };
     Prepared::new(settings, source)
 }

@@ -12,6 +12,7 @@ use sofiscope_hal::Channel;
 use sofiscope_sim::{Scene, World};
 use toml::de::DeTable;
 
+use super::simulated_pixels::write_pixels;
 use super::text_file::read_text;
 use super::{AppError, Progress};
 use crate::config::nearest;
@@ -25,6 +26,9 @@ pub const TRANSMISSION_FILE: &str = "transmission.ome.tif";
 pub const TRUTH_FILE: &str = "truth.json";
 /// File of the scene as it was simulated, in the output.
 pub const SCENE_FILE: &str = "scene.toml";
+
+/// Files of the pixels of cameras R and T in the output, where they are not all alike.
+pub const PIXEL_FILES: [&str; 2] = ["pixels-reflection.ome.tif", "pixels-transmission.ome.tif"];
 
 /// A scene file is refused unread above this size.
 pub(super) const MAX_SCENE_BYTES: u64 = 1 << 20;
@@ -41,11 +45,14 @@ const SMALL_FILES_BYTES: u64 = 4 << 20;
   sofiscope simulate figure-s4 --out /tmp/s4
   sofiscope simulate config/scenes/cell.toml --out /tmp/cell --seed 7 --frames 500
   sofiscope simulate beads --out /tmp/beads --json
+  sofiscope simulate flat --background 0 --out /tmp/dark
+  sofiscope simulate flat --background 2000 --seed 2 --out /tmp/flat-2000
 
-DIR receives reflection.ome.tif, transmission.ome.tif, truth.json (read by `score`) and scene.toml.
+DIR receives reflection.ome.tif, transmission.ome.tif, truth.json (read by `score`) and scene.toml; where the
+pixels of the cameras are not all alike, also what each of them is in truth.
 Equal scene, seed and frames give equal bytes.")]
 pub struct SimulateArguments {
-    /// Scene file, or a built-in scene: figure-2, figure-s4, figure-s6, figure-s7, figure-s8, figure-s10, beads, cell
+    /// Scene file, or a built-in scene: figure-2, figure-s4, figure-s6, figure-s7, figure-s8, figure-s10, beads, cell, flat
     scene: String,
     /// Directory to write; must not exist yet, or be empty
     #[arg(long, value_name = "DIR")]
@@ -56,6 +63,9 @@ pub struct SimulateArguments {
     /// Frames of each camera; the scene proposes a number
     #[arg(long)]
     frames: Option<u64>,
+    /// Background photons per pixel and exposure, of both cameras together; the scene proposes a number
+    #[arg(long, value_name = "PHOTONS")]
+    background: Option<f64>,
     /// Print one object on stdout
     #[arg(long)]
     json: bool,
@@ -133,15 +143,28 @@ impl SceneText {
         self.scene = Scene::from_toml(&self.text).map_err(AppError::usage)?;
         Ok(self)
     }
+
+    /// The same scene with another background, where given; its text says so.
+    ///
+    /// # Errors
+    /// A usage error for a number that is no background.
+    pub fn with_background(mut self, photons: Option<f64>) -> Result<Self, AppError> {
+        if let Some(photons) = photons {
+            replace_top_value(&mut self.text, "background_photons_per_exposure", photons);
+            self.scene = Scene::from_toml(&self.text)
+                .map_err(|error| AppError::usage(format!("--background: {error}")))?;
+        }
+        Ok(self)
+    }
 }
 
 /// Replaces a number of the top table in its place, so that comments and order of the text stay.
-fn replace_top_value(text: &mut String, key: &str, value: u64) {
+fn replace_top_value(text: &mut String, key: &str, value: impl std::fmt::Debug) {
     let (document, _) = DeTable::parse_recoverable(text);
     let found = document.get_ref().iter().find(|(name, _)| name.get_ref() == key);
     if let Some(span) = found.map(|(_, value)| value.span()) {
         drop(document);
-        text.replace_range(span, &value.to_string());
+        text.replace_range(span, &format!("{value:?}"));
     }
 }
 
@@ -178,6 +201,11 @@ pub fn simulate(scene: &SceneText, out: &Path) -> Result<Simulated, AppError> {
     write_frames(&world, writers)?;
     write_text(&output.file(TRUTH_FILE), &world.truth().to_json().map_err(AppError::data)?)?;
     write_text(&output.file(SCENE_FILE), text)?;
+    for (channel, file) in Channel::BOTH.into_iter().zip(PIXEL_FILES) {
+        if let Some(sensor) = world.sensor(channel) {
+            write_pixels(&output.file(file), scene, sensor)?;
+        }
+    }
     let out = output.commit()?;
     Ok(Simulated {
         scene: scene.name().to_owned(),
@@ -292,6 +320,7 @@ fn write_text(path: &Path, text: &str) -> Result<(), FileError> {
 /// As [`SceneText::find`], [`SceneText::with`] and [`simulate`].
 pub fn run(arguments: &SimulateArguments) -> Result<(), AppError> {
     let scene = SceneText::find(&arguments.scene)?.with(arguments.frames, arguments.seed)?;
+    let scene = scene.with_background(arguments.background)?;
     let simulated = simulate(&scene, &arguments.out)?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&simulated).map_err(AppError::data)?);

@@ -1,6 +1,7 @@
 //! An analysis as the report's data.
 
-use super::analysis::Analysis;
+use super::analysis::{Analysis, Prepared};
+use super::camera_maps::UsedMaps;
 use super::results::{Scores, species_names, spectral_names, title};
 use crate::display::default_colors;
 use crate::report::{
@@ -92,15 +93,29 @@ fn settings(analysis: &Analysis) -> Settings {
             .map(|width| PsfUsed { sigma_px: width.sigma_px, source: width.source.clone() }),
         camera_pixel_pitch_nm: Some(prepared.pixel_pitch_nm),
         exposure_ms: prepared.source.exposure_ms,
-        other: widths
-            .map(|(width, species)| {
+        other: calibrations(prepared)
+            .into_iter()
+            .chain(widths.map(|(width, species)| {
                 (
                     format!("PSF sigma of {}", species.name),
                     format!("{:.3} px ({})", width.sigma_px, width.source),
                 )
-            })
+            }))
             .collect(),
     }
+}
+
+/// What is known of the cameras' pixels and of measured shares.
+fn calibrations(prepared: &Prepared) -> Vec<(String, String)> {
+    let maps = prepared.camera_maps.iter().zip(["R", "T"]);
+    let line = |(used, camera): (&Option<UsedMaps>, &str)| {
+        Some((format!("maps of camera {camera}"), used.as_ref()?.line()))
+    };
+    let response = prepared
+        .response
+        .as_ref()
+        .map(|_| ("shares of the dyes' light".to_owned(), "from a file of measured shares".to_owned()));
+    maps.filter_map(line).chain(response).collect()
 }
 
 fn frames(analysis: &Analysis) -> FrameAccount {

@@ -49,6 +49,10 @@ pub struct RawAnalysis {
     pub registration_file: Option<String>,
     /// `unbiased-sinc` or `bilinear-frames`.
     pub registration: Option<String>,
+    /// Files of the maps of each camera, R before T; `none` for a camera without.
+    pub camera_maps: Option<Vec<String>>,
+    /// File of measured shares of the dyes' light, as a `dichroics.toml`.
+    pub response_file: Option<String>,
 }
 
 /// Settings that can be believed.
@@ -88,10 +92,14 @@ pub struct AnalysisSettings {
     pub registration_file: Option<PathBuf>,
     /// How T is brought onto R.
     pub interpolation: Interpolation,
+    /// Files of the maps of each camera; empty for none, and `none` for a camera without.
+    pub camera_maps: Vec<PathBuf>,
+    /// File of measured shares of the dyes' light.
+    pub response_file: Option<PathBuf>,
 }
 
 /// Keys of a settings file, see [`RawAnalysis`].
-const KEYS: [&str; 17] = [
+const KEYS: [&str; 19] = [
     "order",
     "subsequence_exposures",
     "combinations",
@@ -109,6 +117,8 @@ const KEYS: [&str; 17] = [
     "saturation_counts",
     "registration_file",
     "registration",
+    "camera_maps",
+    "response_file",
 ];
 
 /// Everything that is wrong with the settings.
@@ -162,6 +172,8 @@ impl RawAnalysis {
             saturation_counts: self.saturation_counts.or(other.saturation_counts),
             registration_file: self.registration_file.or(other.registration_file),
             registration: self.registration.or(other.registration),
+            camera_maps: self.camera_maps.or(other.camera_maps),
+            response_file: self.response_file.or(other.response_file),
         }
     }
 }
@@ -226,6 +238,8 @@ impl TryFrom<RawAnalysis> for AnalysisSettings {
                 raw.registration.as_deref(),
                 &Interpolation::NAMES,
             ),
+            camera_maps: raw.camera_maps.unwrap_or_default().into_iter().map(PathBuf::from).collect(),
+            response_file: raw.response_file.map(PathBuf::from),
         };
         if faults.is_empty() { Ok(settings) } else { Err(AnalysisFaults { faults }) }
     }

@@ -193,6 +193,8 @@ fn list(of: &str, faults: &[Fault]) -> String {
 pub struct Catalogue {
     fluorophores: Vec<Fluorophore>,
     dichroics: Vec<Dichroic>,
+    /// How many of the dichroics stand before the built-in ones.
+    own: usize,
 }
 
 impl Catalogue {
@@ -214,10 +216,30 @@ impl Catalogue {
         let dichroics = checked::dichroics(raw::dichroics(&second), &fluorophores, &second);
         let error = CatalogueError { fluorophores: first.into_list(), dichroics: second.into_list() };
         if error.fluorophores.is_empty() && error.dichroics.is_empty() {
-            Ok(Self { fluorophores, dichroics })
+            Ok(Self { fluorophores, dichroics, own: 0 })
         } else {
             Err(error)
         }
+    }
+
+    /// The built-in fluorophores, and the dichroics of a text before the built-in ones.
+    ///
+    /// # Errors
+    /// All faults of the text at once.
+    pub fn with_dichroics(text: &str) -> Result<Self, CatalogueError> {
+        let mut catalogue = Self::from_toml(FLUOROPHORES, text)?;
+        let ours = Self::built_in().dichroics;
+        let is_new = |known: &Dichroic| !catalogue.dichroics.iter().any(|own| own.is_called(&known.name));
+        let others: Vec<Dichroic> = ours.into_iter().filter(is_new).collect();
+        catalogue.own = catalogue.dichroics.len();
+        catalogue.dichroics.extend(others);
+        Ok(catalogue)
+    }
+
+    /// The name of the dichroic of [`with_dichroics`](Self::with_dichroics), where its text has only one.
+    #[must_use]
+    pub fn measured(&self) -> Option<&str> {
+        (self.own == 1).then(|| self.dichroics[0].name.as_str())
     }
 
     /// The faults of the text of a `fluorophores.toml` by itself.
@@ -403,6 +425,22 @@ mod tests {
         let said = error.to_string();
         assert!(said.contains("write `emission_nm`"), "{said}");
         assert!(said.contains("`dichroic[0].coefficients[0].transmission` is 1.5"), "{said}");
+    }
+
+    #[test]
+    fn a_file_of_measured_shares_stands_before_the_built_in_dichroics() {
+        let text = "[[dichroic]]\nname = \"zt 594 RDC\"\ndate = \"2026-01-02\"\ncoefficients = [{ fluorophore = \"AF488\", \
+                    transmission = 0.031, transmission_uncertainty = 0.002, recording = \"a\" }]";
+        let catalogue = Catalogue::with_dichroics(text).unwrap();
+        assert_eq!(catalogue.measured(), Some("zt 594 RDC"));
+        let measured = catalogue.species(&["AF488"], "zt 594 RDC").unwrap();
+        assert_eq!(measured[0].response.transmission(), 0.031);
+        assert!(
+            catalogue.species(&["Atto 565"], "zt 594 RDC").is_err(),
+            "measured and calculated shares mixed"
+        );
+        assert!(catalogue.species(&["Atto 565"], "HC BS 640").is_ok());
+        assert_eq!(Catalogue::built_in().measured(), None);
     }
 
     #[test]

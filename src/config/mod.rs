@@ -1,11 +1,13 @@
 //! Settings as typed become settings that can be believed.
 //!
 //! In: text in TOML or YAML. Out: [`Catalogue`], the dyes and dichroics that the program knows by name;
-//! [`Instrument`], what is connected where; [`Registration`], how its cameras see each other; [`AnalysisSettings`].
+//! [`Instrument`], what is connected where; [`Registration`], how its cameras see each other;
+//! [`CameraCalibration`], where the maps of their pixels come from; [`AnalysisSettings`].
 //! Never: stops at the first fault of a file, guesses a name, reads a file itself.
 //! Fails: [`Fault`]s with line, key and remedy; [`DyeError`] for names, with the nearest known ones.
 
 mod analysis;
+mod camera_calibration;
 mod dyes;
 mod instrument;
 mod judge;
@@ -15,6 +17,7 @@ mod section;
 mod tree;
 
 pub use analysis::{AnalysisFaults, AnalysisSettings, RawAnalysis};
+pub use camera_calibration::{CameraCalibration, CameraCalibrationFaults};
 pub use dyes::{Catalogue, CatalogueError, Dichroic, DyeError, Fluorophore};
 pub use instrument::{
     CameraEntry, CameraKind, FocusEntry, GatesEntry, GatesKind, Hardware, Instrument, InstrumentFaults,

@@ -1,7 +1,8 @@
 //! Blocks of exposures into the engine: the next block is read while this one is summed.
 
 use super::AllCores;
-use crate::sofi::cumulant::{Count, CumulantEngine, Exposure, PushError, RunSummary};
+use crate::sofi::cumulant::{Count, CumulantEngine, CumulantSettings, Exposure, PushError, RunSummary};
+use ndarray::Array2;
 
 /// Exposures per block: few enough for memory, many enough that sums are seldom moved.
 pub const BLOCK: usize = 32;
@@ -43,6 +44,7 @@ pub fn feed<T: Count + Default, E: Send>(
     mut progress: impl FnMut(u64) + Send,
 ) -> Result<Feed, FeedError<E>> {
     let channels = engine.settings().channels;
+    let masks = raw_masks(engine.settings());
     let buffer = || vec![vec![T::default(); BLOCK * pixels]; channels];
     let (mut now, mut next) = (buffer(), buffer());
     let mut result = Feed::default();
@@ -55,7 +57,7 @@ pub fn feed<T: Count + Default, E: Send>(
             || if frames == BLOCK { read(following, &mut next) } else { Ok(0) },
         );
         result.closed.extend(pushed?);
-        trace(&mut result.trace, first, frames, pixels, trace_every, &now);
+        trace(&mut result.trace, first, frames, pixels, trace_every, &now, &masks);
         result.exposures = following;
         progress(frames as u64);
         frames = read_next.map_err(FeedError::Source)?;
@@ -93,15 +95,31 @@ fn trace<T: Count>(
     pixels: usize,
     every: u64,
     buffers: &[Vec<T>],
+    masks: &[Option<Array2<bool>>],
 ) {
     for offset in 0..frames {
         let index = first + offset as u64;
         if index.is_multiple_of(every.max(1)) {
-            let mean = |buffer: &Vec<T>| {
-                let frame = &buffer[offset * pixels..(offset + 1) * pixels];
-                frame.iter().map(|count| f64::from(count.counts())).sum::<f64>() / pixels as f64
+            let mean = |(buffer, mask): (&Vec<T>, &Option<Array2<bool>>)| {
+                mean_counts(&buffer[offset * pixels..(offset + 1) * pixels], mask.as_ref())
             };
-            trace.push((index, buffers.iter().map(mean).collect()));
+            trace.push((index, buffers.iter().zip(masks).map(mean).collect()));
         }
     }
+}
+
+/// The pixels of each camera, as it gives them, that are left out.
+pub(super) fn raw_masks(settings: &CumulantSettings) -> Vec<Option<Array2<bool>>> {
+    (0..settings.channels).map(|channel| settings.camera(channel)?.mask()).collect()
+}
+
+/// Mean of the pixels of a frame that are not left out, counts.
+pub(super) fn mean_counts<T: Count>(frame: &[T], mask: Option<&Array2<bool>>) -> f64 {
+    let Some(mask) = mask else {
+        return frame.iter().map(|count| f64::from(count.counts())).sum::<f64>() / frame.len() as f64;
+    };
+    let good = frame.iter().zip(mask).filter(|(_, masked)| !**masked);
+    let (sum, number) =
+        good.fold((0.0, 0u64), |(sum, number), (count, _)| (sum + f64::from(count.counts()), number + 1));
+    sum / number.max(1) as f64
 }

@@ -4,11 +4,13 @@
 //! Never: waits for the preview, keeps a frame longer than its block, lets the division into blocks change a bit.
 //! Fails: [`PushError`], which only a defect in the program can cause.
 
+use super::feed::{mean_counts, raw_masks};
 use super::preview::{PreviewLink, Snapshot};
 use super::{AllCores, BLOCK, Feed, Quality, QualityMonitor};
 use crate::acquisition::{FramePair, HostClock};
 use crate::pipeline::{Received, Receiver};
 use crate::sofi::cumulant::{CumulantEngine, Exposure, PushError};
+use ndarray::Array2;
 use sofiscope_hal::HostTime;
 use std::time::{Duration, Instant};
 
@@ -50,11 +52,12 @@ impl LiveAnalysis {
     /// [`PushError`] for pairs that do not fit the engine.
     pub fn run(mut self) -> Result<LiveReport, PushError> {
         let mut feed = Feed::default();
+        let masks = raw_masks(self.engine.settings());
         let mut block: Vec<FramePair> = Vec::with_capacity(BLOCK);
         loop {
             let open = self.gather(&mut block);
             if !block.is_empty() {
-                self.push(&block, &mut feed)?;
+                self.push(&block, &mut feed, &masks)?;
                 block.clear();
             }
             if !open {
@@ -87,7 +90,12 @@ impl LiveAnalysis {
         }
     }
 
-    fn push(&mut self, block: &[FramePair], feed: &mut Feed) -> Result<(), PushError> {
+    fn push(
+        &mut self,
+        block: &[FramePair],
+        feed: &mut Feed,
+        masks: &[Option<Array2<bool>>],
+    ) -> Result<(), PushError> {
         let planes: Vec<[&[u16]; 2]> =
             block.iter().map(|pair| [pair.frames[0].counts(), pair.frames[1].counts()]).collect();
         let exposures: Vec<Exposure<'_, u16>> = block
@@ -101,10 +109,8 @@ impl LiveAnalysis {
         }
         feed.exposures += exposures.len() as u64;
         for exposure in exposures.iter().filter(|e| e.index.is_multiple_of(self.trace_every.max(1))) {
-            let mean = |plane: &&[u16]| {
-                plane.iter().map(|&count| u64::from(count)).sum::<u64>() as f64 / plane.len() as f64
-            };
-            feed.trace.push((exposure.index, exposure.planes.iter().map(mean).collect()));
+            let mean = |(plane, mask): (&&[u16], &Option<Array2<bool>>)| mean_counts(plane, mask.as_ref());
+            feed.trace.push((exposure.index, exposure.planes.iter().zip(masks).map(mean).collect()));
         }
         let has_closed = !closed.is_empty();
         feed.closed.extend(closed);

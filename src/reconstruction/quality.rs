@@ -11,6 +11,7 @@
 mod blocks;
 mod drift;
 mod findings;
+mod noise;
 mod partner;
 mod settings;
 
@@ -20,7 +21,10 @@ pub use settings::{QualityError, QualitySettings};
 
 use super::AllCores;
 use crate::pipeline::Publisher;
-use crate::sofi::cumulant::{CumulantEngine, CumulantSettings, Drawing, Exposure, Incomplete, PushError};
+use crate::sofi::camera::CameraMaps;
+use crate::sofi::cumulant::{
+    CumulantEngine, CumulantSettings, Drawing, Exposure, Incomplete, PushError, SettingsError,
+};
 use crate::sofi::flattening::{Flattening, PsfWidth, flatten};
 use crate::sofi::quality::{
     BinnedTrace, FourierRingCorrelation, LagCorrelator, Offset, RunningImage, balance_sub_grids,
@@ -29,8 +33,10 @@ use crate::sofi::quality::{
 use blocks::{block_means, central};
 use drift::DriftWatch;
 use ndarray::Array2;
+use noise::blinking_to_noise;
 use partner::Partner;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Side of the part that is looked at, camera pixels, unless asked otherwise.
 pub const CENTRAL_SIDE: usize = 256;
@@ -48,8 +54,10 @@ pub struct QualityMonitor {
     engine: CumulantEngine<u16>,
     open: Option<u64>,
     distances: Array2<f64>,
-    /// The central part of a block of exposures, channel by channel.
+    /// The central part of a block of exposures, channel by channel, 0 for pixels that are left out.
     central: Vec<Vec<u16>>,
+    /// Pixels of each channel's central part that are left out.
+    left_out: Vec<Vec<usize>>,
     channels: Vec<RunningImage>,
     species: Vec<RunningImage>,
     exposures: u64,
@@ -71,6 +79,11 @@ impl QualityMonitor {
         let rows = central(settings.height, settings.central_side);
         let columns = central(settings.width, settings.central_side);
         let partner = Partner::of(&mut settings.cumulants, &rows, &columns)?;
+        let begin_of = |channel: usize| match &partner {
+            Some(partner) if channel == Partner::CHANNEL => partner.begin,
+            _ => [rows.start, columns.start],
+        };
+        let left_out = crop_maps(&mut settings.cumulants, begin_of, [rows.len(), columns.len()])?;
         let engine = CumulantEngine::new(settings.cumulants.clone(), rows.len(), columns.len())?;
         let registration = settings.cumulants.registration.as_ref().map(|found| found.transform);
         let drift = (channels == 2).then(|| DriftWatch::new(registration, [rows.len(), columns.len()]));
@@ -96,6 +109,7 @@ impl QualityMonitor {
             open: None,
             distances: grid.squared_distances(),
             central: vec![Vec::new(); channels],
+            left_out,
             channels: Vec::new(),
             species: (0..species).map(|_| RunningImage::new(fine)).collect(),
             exposures: 0,
@@ -205,6 +219,10 @@ impl QualityMonitor {
                     let row = y * width + left..y * width + left + self.columns.len();
                     to.extend_from_slice(&exposure.planes[channel][row]);
                 }
+                let begin = to.len() - self.rows.len() * self.columns.len();
+                for pixel in self.left_out.get(channel).into_iter().flatten() {
+                    to[begin + pixel] = 0;
+                }
             }
         }
     }
@@ -218,9 +236,10 @@ impl QualityMonitor {
             _ => block_means(plane, self.columns.len()),
         };
         let blocks: Vec<Vec<f64>> = exposure.planes.iter().enumerate().map(means).collect();
-        for (plane, trace) in exposure.planes.iter().zip(&mut self.traces) {
+        for (channel, (plane, trace)) in exposure.planes.iter().zip(&mut self.traces).enumerate() {
             let sum: u64 = plane.iter().map(|&count| u64::from(count)).sum();
-            trace.push(exposure.index, sum as f64 / plane.len() as f64);
+            let good = plane.len() - self.left_out.get(channel).map_or(0, Vec::len);
+            trace.push(exposure.index, sum as f64 / good.max(1) as f64);
         }
         if let [reflected, transmitted] = &blocks[..] {
             self.lag.push(exposure.index, [reflected, transmitted]);
@@ -277,6 +296,9 @@ impl QualityMonitor {
             subsequence_exposures: self.settings.cumulants.subsequence,
             snr_channels: snr(&self.channels),
             snr_species: snr(&self.species),
+            blinking_to_noise: (0..drawing.means.len())
+                .map(|channel| self.blinking(drawing, channel))
+                .collect(),
             resolution: images.iter().map(|image| self.resolution(image)).collect(),
             bleaching: (0..self.traces.len()).map(|channel| self.bleaching(channel)).collect(),
             lag: self.lag.correlation().map(LagCheck::from),
@@ -308,6 +330,14 @@ impl QualityMonitor {
         Resolution { camera_px, nm, is_pixel_limited, decorrelation_camera_px, curve }
     }
 
+    /// Not for a camera that is registered, as its noise is another one then.
+    fn blinking(&self, drawing: &Drawing, channel: usize) -> Option<f64> {
+        let maps = self.settings.cumulants.camera(channel)?;
+        let is_registered = self.partner.is_some() && channel == Partner::CHANNEL;
+        let (mean, variance) = (&drawing.means[channel], &drawing.variances[channel]);
+        (!is_registered).then(|| blinking_to_noise(mean, variance, drawing.samples, maps)).flatten()
+    }
+
     fn bleaching(&self, channel: usize) -> Option<BleachingState> {
         let offsets = self.settings.offset_counts.as_ref();
         let offset = offsets.map_or(Offset::Fitted, |offsets| Offset::Known(offsets[channel]));
@@ -319,6 +349,26 @@ impl QualityMonitor {
             left: found.left,
         })
     }
+}
+
+/// Makes camera maps those of the central part; gives the pixels that are left out, by channel.
+fn crop_maps(
+    cumulants: &mut CumulantSettings,
+    begin_of: impl Fn(usize) -> [usize; 2],
+    size: [usize; 2],
+) -> Result<Vec<Vec<usize>>, SettingsError> {
+    for (channel, camera) in cumulants.cameras.iter_mut().enumerate() {
+        let Some(maps) = camera else { continue };
+        let too_small = SettingsError::MapSize { made_for: maps.size(), frames: size };
+        *maps = Arc::new(maps.part(begin_of(channel), size).ok_or(too_small)?);
+    }
+    let left_out = |maps: &Arc<CameraMaps>| {
+        let faults = maps.faults().iter().enumerate();
+        faults.filter(|(_, fault)| **fault != 0).map(|(pixel, _)| pixel).collect()
+    };
+    Ok((0..cumulants.channels)
+        .map(|channel| cumulants.camera(channel).map_or_else(Vec::new, left_out))
+        .collect())
 }
 
 /// Sub-grid by sub-grid times its factor.

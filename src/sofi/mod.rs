@@ -2,10 +2,11 @@
 //!
 //! | step | file | paper |
 //! |---|---|---|
+//! | offset, gain, noise and faults of every pixel | [`camera`] | |
 //! | 1: camera T onto camera R | [`registration`] | step 1 |
 //! | which pixels make which virtual pixel | [`grid`] | Fig. 1b |
 //! | 2: running spatio-temporal and spectral cross-cumulants | [`cumulant`] | Eq. 2, S2, S4 |
-//! | 3: species from spectral channels | [`unmixing`], [`spectra`] | Eq. 2, S2, Table S1 |
+//! | 3: species from spectral channels | [`unmixing`], [`spectra`], [`response`] | Eq. 2, S2, Table S1 |
 //! | 4: equal weights for the shifted sub-grids | [`flattening`], [`psf`] | Eq. S6 |
 //! | 5: brightness that is linear again | [`linearization`], [`convolution`] | main text, step 5 |
 //! | on-time ratio, brightness and density from three orders | [`balancing`] | bSOFI |
@@ -14,6 +15,7 @@
 //! Never: reads a clock or a file, draws a random number, knows a device.
 
 pub mod balancing;
+pub mod camera;
 pub mod convolution;
 pub mod cumulant;
 pub mod flattening;
@@ -22,5 +24,6 @@ pub mod linearization;
 pub mod psf;
 pub mod quality;
 pub mod registration;
+pub mod response;
 pub mod spectra;
 pub mod unmixing;

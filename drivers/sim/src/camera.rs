@@ -10,37 +10,96 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::poisson::{self, FixedMean};
 use crate::scene::CameraModel;
+use crate::sensor::Sensor;
 
 /// Turns the photons of one camera into counts.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(crate) struct Digitizer {
     model: CameraModel,
+    /// Its pixels, where they differ.
+    sensor: Option<Sensor>,
     /// Most pixels see nothing but background; their law is prepared once.
     background_photons: f32,
     background: FixedMean,
 }
 
 impl Digitizer {
-    pub(crate) fn new(model: CameraModel, background_photons: f32) -> Self {
+    pub(crate) fn new(model: CameraModel, sensor: Option<Sensor>, background_photons: f32) -> Self {
         let background = FixedMean::new(mean_electrons(&model, background_photons));
-        Self { model, background_photons, background }
+        Self { model, sensor, background_photons, background }
+    }
+
+    /// The pixels, where they differ.
+    pub(crate) fn sensor(&self) -> Option<&Sensor> {
+        self.sensor.as_ref()
     }
 
     /// Draws one frame.
-    pub(crate) fn draw(&self, photons: &[f32], rng: &mut Xoshiro256PlusPlus, counts: &mut [u16]) {
-        let saturation = f64::from(self.model.saturation_counts);
-        for (count, &photons) in counts.iter_mut().zip(photons) {
-            let electrons = if photons.to_bits() == self.background_photons.to_bits() {
-                self.background.draw(rng)
-            } else {
-                poisson::draw(mean_electrons(&self.model, photons), rng)
+    ///
+    /// Hot pixels have their dark electrons from a stream of their own, so that all other pixels give the counts that
+    /// they would give without them.
+    pub(crate) fn draw(&self, photons: &[f32], random: Generators<'_>, counts: &mut [u16]) {
+        let (model, Generators { noise, dark }) = (&self.model, random);
+        let alike = Pixel {
+            offset: model.offset_counts,
+            gain: model.gain_counts_per_electron,
+            read_noise: model.read_noise_electrons,
+        };
+        let Some(sensor) = &self.sensor else {
+            for (count, &photons) in counts.iter_mut().zip(photons) {
+                *count = self.count(self.electrons(photons, noise), &alike, noise);
+            }
+            return;
+        };
+        for (pixel, (count, &photons)) in counts.iter_mut().zip(photons).enumerate() {
+            let mut electrons = self.electrons(photons, noise);
+            if sensor.is_hot[pixel] {
+                let more = sensor.dark_electrons[pixel] - model.dark_electrons_per_exposure;
+                electrons += poisson::draw(more, dark);
+            }
+            if sensor.is_dead[pixel] {
+                electrons = 0.0;
+            }
+            let own = Pixel {
+                offset: sensor.offset_counts[pixel],
+                gain: sensor.gain_counts_per_electron[pixel],
+                read_noise: sensor.read_noise_electrons[pixel],
             };
-            let noise: f64 = rng.sample(StandardNormal);
-            let signal = electrons + self.model.read_noise_electrons * noise;
-            let value = self.model.offset_counts + self.model.gain_counts_per_electron * signal;
-            *count = (value.clamp(0.0, saturation) + 0.5) as u16;
+            *count = self.count(electrons, &own, noise);
         }
     }
+
+    #[inline(always)]
+    fn electrons(&self, photons: f32, rng: &mut Xoshiro256PlusPlus) -> f64 {
+        if photons.to_bits() == self.background_photons.to_bits() {
+            self.background.draw(rng)
+        } else {
+            poisson::draw(mean_electrons(&self.model, photons), rng)
+        }
+    }
+
+    #[inline(always)]
+    fn count(&self, electrons: f64, pixel: &Pixel, rng: &mut Xoshiro256PlusPlus) -> u16 {
+        let noise: f64 = rng.sample(StandardNormal);
+        let signal = electrons + pixel.read_noise * noise;
+        let value = pixel.offset + pixel.gain * signal;
+        (value.clamp(0.0, f64::from(self.model.saturation_counts)) + 0.5) as u16
+    }
+}
+
+/// Random numbers of one exposure.
+pub(crate) struct Generators<'a> {
+    /// Of photons and read noise.
+    pub(crate) noise: &'a mut Xoshiro256PlusPlus,
+    /// Of the dark electrons of hot pixels.
+    pub(crate) dark: &'a mut Xoshiro256PlusPlus,
+}
+
+/// What one pixel makes of electrons.
+struct Pixel {
+    offset: f64,
+    gain: f64,
+    read_noise: f64,
 }
 
 fn mean_electrons(model: &CameraModel, photons: f32) -> f64 {
@@ -51,12 +110,35 @@ fn mean_electrons(model: &CameraModel, photons: f32) -> f64 {
 mod tests {
     use super::*;
     use crate::random::Stream;
+    use crate::scene::PixelSpread;
 
     fn frame(model: CameraModel, photons: f32, n: usize) -> Vec<u16> {
         let mut counts = vec![0; n];
-        let mut rng = Stream::Patches.generator(21);
-        Digitizer::new(model, 2.5).draw(&vec![photons; n], &mut rng, &mut counts);
+        digitize(model, None, photons, &mut counts);
         counts
+    }
+
+    fn digitize(model: CameraModel, sensor: Option<Sensor>, photons: f32, counts: &mut [u16]) {
+        let (mut noise, mut dark) = (Stream::Patches.generator(21), Stream::Patches.generator(22));
+        let random = Generators { noise: &mut noise, dark: &mut dark };
+        Digitizer::new(model, sensor, 2.5).draw(&vec![photons; counts.len()], random, counts);
+    }
+
+    #[test]
+    fn hot_and_dead_pixels_leave_the_others_as_they_are() {
+        let pixels = PixelSpread { hot_share: 0.01, dead_share: 0.01, ..PixelSpread::default() };
+        let model = CameraModel { pixels, ..CameraModel::default() };
+        let sensor = Sensor::new(&model, 0, 2000).unwrap();
+        let (mut alike, mut broken) = (vec![0; 2000], vec![0; 2000]);
+        digitize(model, None, 300.0, &mut alike);
+        digitize(model, Some(sensor.clone()), 300.0, &mut broken);
+        for (pixel, (alike, broken)) in alike.iter().zip(&broken).enumerate() {
+            match (sensor.is_hot[pixel], sensor.is_dead[pixel]) {
+                (true, _) => assert!(broken > &(alike + 200)),
+                (_, true) => assert!((80..120).contains(broken)),
+                _ => assert_eq!(alike, broken),
+            }
+        }
     }
 
     fn mean_and_variance(counts: &[u16]) -> (f64, f64) {

@@ -36,6 +36,7 @@ mod poisson;
 mod random;
 pub mod scene;
 pub mod score;
+mod sensor;
 mod truth;
 mod world;
 
@@ -44,8 +45,10 @@ pub use instrument::{
 };
 pub use optics::psf_sigma_px;
 pub use scene::{
-    CameraModel, Fault, Mirror, Optics, PatchGrid, Photophysics, Scene, SceneError, Shape, Species, View,
+    CameraModel, Fault, Mirror, Optics, PatchGrid, Photophysics, PixelSpread, Scene, SceneError, Shape,
+    Species, View,
 };
 pub use score::{Plane, ScoreError};
+pub use sensor::Sensor;
 pub use truth::{PatchTruth, SpeciesTruth, Truth, TruthError};
 pub use world::{World, WorldError};

@@ -23,6 +23,10 @@ pub(crate) enum Stream {
     Order { channel: u64, window: u64 },
     /// The error of the camera's clock at one exposure.
     Jitter { channel: u64, exposure: u64 },
+    /// Dark electrons of the hot pixels in one exposure of one camera.
+    Dark { channel: u64, exposure: u64 },
+    /// How the pixels of one camera differ; its seed is the camera's, not the sample's.
+    Pixels { channel: u64 },
     /// The counts of one frame of a film of noise.
     Film { channel: u64, frame: u64 },
 }
@@ -38,6 +42,8 @@ impl Stream {
             Self::Order { channel, window } => [6, channel, window],
             Self::Film { channel, frame } => [7, channel, frame],
             Self::Jitter { channel, exposure } => [8, channel, exposure],
+            Self::Pixels { channel } => [9, channel, 0],
+            Self::Dark { channel, exposure } => [10, channel, exposure],
         }
     }
 

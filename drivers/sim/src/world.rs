@@ -12,11 +12,12 @@ use rayon::prelude::*;
 use sofiscope_hal::{Channel, ExposureIndex};
 
 use crate::blinking::{OnIntervals, on_fractions};
-use crate::camera::Digitizer;
+use crate::camera::{Digitizer, Generators};
 use crate::emitters::{Emitter, Patch, place};
 use crate::optics::{Spot, SpotPatterns};
 use crate::random::Stream;
 use crate::scene::{Photophysics, Scene};
+use crate::sensor::Sensor;
 use crate::truth::Truth;
 
 /// Why the world gives no frame.
@@ -95,6 +96,12 @@ impl World {
     #[must_use]
     pub fn truth(&self) -> Truth {
         Truth::new(self)
+    }
+
+    /// The pixels of a camera; none where all of them are alike.
+    #[must_use]
+    pub fn sensor(&self, channel: Channel) -> Option<&Sensor> {
+        self.optical_paths[channel.index()].digitizer.sensor()
     }
 
     /// Expected photons per pixel that reach a camera in one exposure, before its quantum efficiency.
@@ -211,10 +218,17 @@ impl World {
     }
 
     fn digitize(&self, channel: Channel, exposure: ExposureIndex, photons: &mut [f32], counts: &mut [u16]) {
-        let stream = Stream::Noise { channel: channel.index() as u64, exposure: exposure.0 };
-        let mut rng = stream.generator(self.seed);
+        let (number, exposure_number) = (channel.index() as u64, exposure.0);
+        let stream = Stream::Noise { channel: number, exposure: exposure_number };
+        let mut noise = stream.generator(self.seed);
+        let stream = Stream::Dark { channel: number, exposure: exposure_number };
+        let mut dark = stream.generator(self.seed);
         self.light(channel, exposure, photons);
-        self.optical_paths[channel.index()].digitizer.draw(photons, &mut rng, counts);
+        self.optical_paths[channel.index()].digitizer.draw(
+            photons,
+            Generators { noise: &mut noise, dark: &mut dark },
+            counts,
+        );
     }
 }
 
@@ -234,7 +248,9 @@ impl OpticalPath {
                 spots.add(number, 1.0, &mut steady, width);
             }
         }
-        let digitizer = Digitizer::new(scene.cameras()[channel.index()], background);
+        let model = scene.cameras()[channel.index()];
+        let sensor = Sensor::new(&model, channel.index(), height * width);
+        let digitizer = Digitizer::new(model, sensor, background);
         Self { steady, spots, digitizer }
     }
 }

@@ -72,6 +72,10 @@ fn fluorophore(form: &Form<'_>) -> RawFluorophore {
 }
 
 fn dichroic(form: &Form<'_>) -> RawDichroic {
+    // Where measured coefficients come from is for people.
+    for key in ["date", "reflected_serial", "transmitted_serial", "registration", "blank"] {
+        form.prose(key);
+    }
     RawDichroic {
         at: place(form, "name"),
         name: form.text("name"),
@@ -82,6 +86,8 @@ fn dichroic(form: &Form<'_>) -> RawDichroic {
 }
 
 fn coefficient(form: &Form<'_>) -> RawCoefficient {
+    form.number_if_any("transmission_uncertainty", 0.0..=1.0);
+    form.prose("recording");
     RawCoefficient {
         at: place(form, "fluorophore"),
         fluorophore: form.text("fluorophore"),

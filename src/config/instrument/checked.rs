@@ -43,7 +43,9 @@ impl Check<'_> {
         let name = self.judge.required("name", raw.top.name.clone(), "\"...\"").unwrap_or_default();
         let pitch = self.judge.required("pixel_pitch_nm", raw.top.pixel_pitch_nm, "108.0").unwrap_or(108.0);
         let aperture = raw.top.numerical_aperture;
+        // A file of measured shares may hold dichroics of its own.
         if let Some(dichroic) = &raw.top.dichroic
+            && raw.top.response_file.is_none()
             && let Err(error) = Catalogue::built_in().dichroic(dichroic)
         {
             self.judge.fault(
@@ -74,6 +76,7 @@ impl Check<'_> {
                 .map(|value| self.judge.within("numerical_aperture", value, 0.01, 2.0)),
             dichroic: raw.top.dichroic.clone(),
             registration_file: raw.top.registration_file.clone(),
+            response_file: raw.top.response_file.clone(),
             limits,
             hardware,
             simulation,
@@ -123,6 +126,7 @@ impl Check<'_> {
             );
         }
         let region = self.region(key, raw);
+        let maps_file = raw.maps_file.clone();
         CameraEntry {
             channel,
             kind,
@@ -132,6 +136,7 @@ impl Check<'_> {
             exposure,
             period,
             region,
+            maps_file,
         }
     }
 

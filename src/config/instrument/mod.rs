@@ -88,6 +88,8 @@ pub struct CameraEntry {
     pub period: Duration,
     /// Part of the sensor where the plan names none; `None` for the whole sensor.
     pub region: Option<Region>,
+    /// The file of the maps of its pixels, from the folder of the instrument file; where given.
+    pub maps_file: Option<String>,
 }
 
 /// What the simulated devices look at and how they behave.
@@ -128,6 +130,7 @@ pub struct Instrument {
     numerical_aperture: Option<f64>,
     dichroic: Option<String>,
     registration_file: Option<String>,
+    response_file: Option<String>,
     limits: Limits,
     hardware: Hardware,
     simulation: Option<Simulation>,
@@ -202,6 +205,12 @@ impl Instrument {
     #[must_use]
     pub fn registration_file(&self) -> Option<&str> {
         self.registration_file.as_deref()
+    }
+
+    /// The file of measured shares of the dyes' light, from this file's folder; where given.
+    #[must_use]
+    pub fn response_file(&self) -> Option<&str> {
+        self.response_file.as_deref()
     }
 
     /// What must not be exceeded.

@@ -20,6 +20,7 @@ pub(crate) struct RawTop {
     pub(crate) numerical_aperture: Option<f64>,
     pub(crate) dichroic: Option<String>,
     pub(crate) registration_file: Option<String>,
+    pub(crate) response_file: Option<String>,
 }
 
 /// `[camera.reflected]` and `[camera.transmitted]`.
@@ -36,6 +37,7 @@ pub(crate) struct RawCamera {
     pub(crate) top_px: Option<u32>,
     pub(crate) width_px: Option<u32>,
     pub(crate) height_px: Option<u32>,
+    pub(crate) maps_file: Option<String>,
 }
 
 /// `[trigger]`.

@@ -305,7 +305,8 @@ impl Check<'_> {
         }
         let catalogue = Catalogue::built_in();
         let species = analysis.species.as_deref().unwrap_or_default();
-        let dichroic = analysis.dichroic.as_deref();
+        // A file of measured shares, which may hold dichroics of its own, is read when the run begins.
+        let dichroic = analysis.dichroic.as_deref().filter(|_| analysis.response_file.is_none());
         let names = match dichroic {
             Some(dichroic) if !species.is_empty() => catalogue.species(species, dichroic).map(|_| ()),
             Some(dichroic) => catalogue.dichroic(dichroic).map(|_| ()),

@@ -42,6 +42,7 @@ impl Plan {
             }
         }
         if let (Some(wanted), Some(mounted)) = (self.analysis().dichroic.as_deref(), instrument.dichroic())
+            && self.analysis().response_file.is_none()
             && !is_same_dichroic(wanted, mounted)
         {
             let message = format!("is {wanted}, and {mounted} is mounted");

@@ -20,6 +20,9 @@ pub struct Quality {
     pub snr_channels: Vec<Option<f64>>,
     /// The same per species (bright: above half of the 99.5th percentile); empty without dyes.
     pub snr_species: Vec<Option<f64>>,
+    /// Variance of bright pixels beyond photon and read noise, over that of this noise, per camera, in the newest
+    /// subsequence; where the camera's maps are known.
+    pub blinking_to_noise: Vec<Option<f64>>,
     /// Resolution by Fourier ring correlation per species, or per spectral channel without dyes.
     pub resolution: Vec<Resolution>,
     /// Bleaching per channel, R and T.

@@ -12,8 +12,10 @@
 use super::layout::Layout;
 use super::plan::{Element, Term};
 use super::registered::RawSums;
+use crate::sofi::camera::CameraMaps;
 use crate::sofi::registration::{NoiseLine, PADDED_TAPS, Resampler, TAPS};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Highest order whose bias is known.
 pub(super) const HIGHEST_ORDER: usize = 4;
@@ -27,6 +29,30 @@ const NEAR: i64 = 8;
 /// Raw rows whose noise is kept.
 const MOST_NOISE_ROWS: usize = 160;
 
+/// The noise of T's pixels.
+#[derive(Debug, Clone)]
+pub(super) enum PixelNoise {
+    /// The same law for all of them.
+    Line(NoiseLine),
+    /// Each its own.
+    Maps(Arc<CameraMaps>),
+}
+
+impl PixelNoise {
+    /// The cumulant of an order of the noise of a pixel of the sensor with this mean.
+    #[inline(always)]
+    fn cumulant(&self, order: usize, place: (usize, usize), mean: f64) -> f64 {
+        match (self, order) {
+            (Self::Line(line), _) => line.slope.powi(order as i32 - 2) * line.variance(mean),
+            (Self::Maps(maps), 2) => maps.noise_variance(place, mean),
+            (Self::Maps(maps), _) => {
+                let gain = f64::from(maps.gain()[place]);
+                gain.powi(order as i32 - 1) * (mean - f64::from(maps.offset()[place])).max(0.0)
+            }
+        }
+    }
+}
+
 /// First pixel and phase of the weights, column by column from `-MARGIN` on.
 type Places = Vec<(i32, u32)>;
 
@@ -37,8 +63,8 @@ pub(super) struct BiasRows {
     pub(super) row: Vec<f64>,
     across: BTreeMap<i64, Places>,
     down: BTreeMap<i64, Places>,
-    /// Variance of the noise in a row of flipped T.
-    noise: BTreeMap<i64, Vec<f32>>,
+    /// Cumulants of the noise in a row of flipped T, by order.
+    noise: BTreeMap<(usize, i64), Vec<f32>>,
     /// What the lines of some rows of R share, at every column of flipped T.
     shared: BTreeMap<Vec<i64>, Vec<f32>>,
     /// What sets of pixels of this row share, on its way.
@@ -49,7 +75,7 @@ pub(super) struct BiasRows {
 #[derive(Clone, Copy)]
 struct Camera<'a> {
     raw: &'a RawSums,
-    noise: &'a NoiseLine,
+    noise: &'a PixelNoise,
     layout: &'a Layout,
     samples: u64,
 }
@@ -131,15 +157,14 @@ impl BiasRows {
         let values = &mut self.parts[part];
         values.clear();
         values.resize(camera.layout.stride, 0.0);
-        let scale = camera.noise.slope.powi(elements.len() as i32 - 2);
         for (x, value) in values.iter_mut().enumerate().take(width) {
             let first = i64::from(places[0][x].0);
             let weights = product(&places, x, |phase| camera.resampler().across_weights(phase));
             let shared = usize::try_from(first + MARGIN).ok().and_then(|start| shared.get(start..));
             // Pixels of R whose partners are beyond the sensor are masked.
             let Some(shared) = shared.and_then(|shared| shared.first_chunk::<TAPS>()) else { continue };
-            *value = scale
-                * f64::from(weights.iter().zip(shared).map(|(weight, shared)| weight * shared).sum::<f32>());
+            let together: f32 = weights.iter().zip(shared).map(|(weight, shared)| weight * shared).sum();
+            *value = f64::from(together);
         }
         true
     }
@@ -161,10 +186,11 @@ impl BiasRows {
         for run in places[0].chunk_by(|a, b| a.0 == b.0) {
             let first = i64::from(run[0].0);
             for row in first..first + TAPS as i64 {
-                self.noise.entry(row).or_insert_with(|| noise_row(camera, row, columns.clone()));
+                let noise = || noise_row(camera, rows.len(), row, columns.clone());
+                self.noise.entry((rows.len(), row)).or_insert_with(noise);
             }
             let noise: [&[f32]; TAPS] =
-                std::array::from_fn(|tap| &self.noise[&(first + tap as i64)][start..]);
+                std::array::from_fn(|tap| &self.noise[&(rows.len(), first + tap as i64)][start..]);
             for (index, shared) in shared[start..start + run.len()].iter_mut().enumerate() {
                 let weights = product(&places, start + index, |phase| camera.resampler().down_weights(phase));
                 *shared = weights.iter().zip(noise).map(|(weight, noise)| weight * noise[index]).sum();
@@ -206,8 +232,8 @@ fn product<'a>(
     product
 }
 
-/// Variance of the noise in a row of flipped T, that of the nearest pixel outside the sensor.
-fn noise_row(camera: Camera<'_>, row: i64, columns: std::ops::Range<i64>) -> Vec<f32> {
+/// Cumulants of an order of the noise in a row of flipped T, that of the nearest pixel outside the sensor.
+fn noise_row(camera: Camera<'_>, order: usize, row: i64, columns: std::ops::Range<i64>) -> Vec<f32> {
     let Camera { raw, noise, layout, samples } = camera;
     let per_sample = 1.0 / samples as f64;
     columns
@@ -215,7 +241,7 @@ fn noise_row(camera: Camera<'_>, row: i64, columns: std::ops::Range<i64>) -> Vec
             let (row, column) = camera.resampler().sensor(row, j);
             let band = layout.band_of(row);
             let place = (row - layout.rows(band).start) * layout.stride + column;
-            noise.variance(raw.bands[band][place] * per_sample) as f32
+            noise.cumulant(order, (row, column), raw.bands[band][place] * per_sample) as f32
         })
         .collect()
 }

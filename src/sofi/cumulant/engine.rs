@@ -113,6 +113,12 @@ impl<T: Count> CumulantEngine<T> {
         }
         let plan = Plan::new(&grid, settings.channels, &settings.relative_lags());
         let layout = Layout::new(height, width);
+        for maps in settings.cameras.iter().flatten() {
+            let (made_for, frames) = (maps.size(), [height, width]);
+            if made_for != frames {
+                return Err(SettingsError::MapSize { made_for, frames });
+            }
+        }
         let registered = settings.registration.as_ref().map(|wanted| registered(wanted, &settings, &layout));
         let mut engine = Self {
             registered: registered.transpose()?,
@@ -129,12 +135,14 @@ impl<T: Count> CumulantEngine<T> {
             plan,
             layout,
         };
-        engine.set_masks(vec![None; engine.settings.channels]);
+        let masks = (0..engine.settings.channels).map(|channel| engine.settings.camera(channel)?.mask());
+        engine.set_masks(masks.collect());
         Ok(engine)
     }
 
     /// Leaves masked pixels out of everything drawn from now on: what needs one of them is NaN.
     ///
+    /// They take the place of those of the camera maps.
     /// Masks are of the cameras' own pixels, also of a camera that is registered onto the other.
     ///
     /// # Panics
@@ -464,7 +472,7 @@ fn registered(
     if made_for != frames {
         return Err(TransformError::Size { made_for, frames }.into());
     }
-    Ok(Registered::new(wanted, settings.order)?)
+    Ok(Registered::new(wanted, settings.order, settings.camera(TRANSMITTED))?)
 }
 
 fn as_slices<T>((index, planes): &(u64, Vec<Vec<T>>)) -> (u64, Vec<&[T]>) {

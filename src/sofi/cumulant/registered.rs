@@ -4,12 +4,11 @@
 //! which the shared noise is found.
 //! Never: changes anything where cameras come aligned, depends on how samples were blocked.
 
-use super::bias;
+use super::bias::{self, PixelNoise};
 use super::kernel::{Count, Planes};
 use super::layout::Layout;
-use crate::sofi::registration::{
-    NoiseLine, REGISTER, RegistrationSettings, Resampler, RowTaps, TransformError,
-};
+use crate::sofi::camera::CameraMaps;
+use crate::sofi::registration::{REGISTER, RegistrationSettings, Resampler, RowTaps, TransformError};
 use ndarray::Array2;
 use pulp::Simd;
 use std::sync::Arc;
@@ -22,14 +21,21 @@ pub(super) const TRANSMITTED: usize = 1;
 pub(super) struct Registered {
     pub(super) resampler: Arc<Resampler>,
     /// The noise whose shared part is taken off; none where it stays.
-    pub(super) noise: Option<NoiseLine>,
+    pub(super) noise: Option<PixelNoise>,
 }
 
 impl Registered {
-    pub(super) fn new(settings: &RegistrationSettings, order: usize) -> Result<Self, TransformError> {
+    pub(super) fn new(
+        settings: &RegistrationSettings,
+        order: usize,
+        camera: Option<&Arc<CameraMaps>>,
+    ) -> Result<Self, TransformError> {
         let resampler = Arc::new(Resampler::new(&settings.transform, settings.interpolation)?);
         let is_taken_off = settings.interpolation.is_unbiased() && order <= bias::HIGHEST_ORDER;
-        let noise = is_taken_off.then_some(settings.noise);
+        let noise = is_taken_off.then(|| match camera {
+            Some(maps) => PixelNoise::Maps(Arc::clone(maps)),
+            None => PixelNoise::Line(settings.noise),
+        });
         Ok(Self { resampler, noise })
     }
 

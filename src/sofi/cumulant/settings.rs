@@ -1,7 +1,9 @@
 //! What an engine must know before the first exposure.
 
+use crate::sofi::camera::CameraMaps;
 use crate::sofi::grid::{Combinations, GridError, VirtualPixelGrid};
 use crate::sofi::registration::{RegistrationSettings, TransformError};
+use std::sync::Arc;
 
 /// Most channels that one engine takes.
 const MOST_CHANNELS: usize = 4;
@@ -23,6 +25,9 @@ pub struct CumulantSettings {
     pub first_exposure: u64,
     /// How the second of two channels is brought onto the first; `None` where they come aligned.
     pub registration: Option<RegistrationSettings>,
+    /// What is known of the pixels of each channel's camera, as it gives them: broken ones are left out of everything,
+    /// and noise that a registration shares among neighbors is that of each pixel. Empty where nothing is known.
+    pub cameras: Vec<Option<Arc<CameraMaps>>>,
 }
 
 /// Why settings cannot be used.
@@ -59,6 +64,21 @@ pub enum SettingsError {
         /// Exposures per subsequence.
         subsequence: u64,
     },
+    /// Camera maps for another number of cameras.
+    #[error("maps of {0} cameras were given for {1} channels; give one per camera")]
+    Cameras(usize, usize),
+    /// Camera maps of another size.
+    #[error(
+        "the maps of a camera are of {} x {} pixels and its frames of {} x {}; use the region of the calibration \
+         or calibrate again",
+        made_for[1], made_for[0], frames[1], frames[0]
+    )]
+    MapSize {
+        /// Height and width of the maps.
+        made_for: [usize; 2],
+        /// Height and width of the frames.
+        frames: [usize; 2],
+    },
     /// The images have no inner pixel.
     #[error("images of {width} x {height} pixels are too small; order {order} needs at least 4 x 4")]
     Size {
@@ -84,6 +104,7 @@ impl CumulantSettings {
             lags: Vec::new(),
             first_exposure: 0,
             registration: None,
+            cameras: Vec::new(),
         }
     }
 
@@ -99,6 +120,9 @@ impl CumulantSettings {
         if self.registration.is_some() && self.channels != 2 {
             return Err(SettingsError::RegisteredChannels(self.channels));
         }
+        if !self.cameras.is_empty() && self.cameras.len() != self.channels {
+            return Err(SettingsError::Cameras(self.cameras.len(), self.channels));
+        }
         if self.subsequence < 2 {
             return Err(SettingsError::Subsequence(self.subsequence));
         }
@@ -110,6 +134,12 @@ impl CumulantSettings {
             return Err(SettingsError::LagSpan { span, subsequence: self.subsequence });
         }
         Ok(grid)
+    }
+
+    /// What is known of the pixels of a channel's camera.
+    #[must_use]
+    pub fn camera(&self, channel: usize) -> Option<&Arc<CameraMaps>> {
+        self.cameras.get(channel)?.as_ref()
     }
 
     /// Largest difference between lags, in exposures.

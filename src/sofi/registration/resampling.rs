@@ -119,13 +119,15 @@ impl Resampler {
 
     /// First column of flipped T, and weights, of a pixel of R; the columns are those of the line of its row.
     #[inline(always)]
-    fn across(&self, row: i64, column: i64) -> (i64, &[f32; TAPS]) {
+    #[must_use]
+    pub fn across(&self, row: i64, column: i64) -> (i64, &[f32; TAPS]) {
         self.light.at(self.across.at(row, column))
     }
 
     /// First row of flipped T, and weights, of the line of a row of R at a column of flipped T.
     #[inline(always)]
-    fn down(&self, row: i64, flipped_column: i64) -> (i64, &[f32; TAPS]) {
+    #[must_use]
+    pub fn down(&self, row: i64, flipped_column: i64) -> (i64, &[f32; TAPS]) {
         self.weights.at(self.down.at(row, flipped_column))
     }
 

@@ -6,6 +6,7 @@
 //! Never: mixes neighboring pixels, clips or invents values; NaN in any channel is NaN in every species.
 //! Fails: [`UnmixingError`]; dyes that cannot be told apart are named.
 
+mod contradiction;
 mod diagnosis;
 mod error;
 mod jacobi;
@@ -17,6 +18,7 @@ pub(super) mod reference;
 mod tests;
 mod unmixer;
 
+pub use contradiction::{Contradiction, contradictions};
 pub use error::UnmixingError;
 pub use matrix::UnmixingMatrix;
 pub use unmixer::{Unmixer, UnmixingMethod};

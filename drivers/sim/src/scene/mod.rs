@@ -10,6 +10,7 @@
 mod drawing;
 mod fault;
 mod parts;
+mod pixels;
 mod shape;
 mod shipped;
 #[cfg(test)]
@@ -20,6 +21,7 @@ use sofiscope_form::{Faults, Form};
 pub(crate) use drawing::cells;
 pub use fault::SceneError;
 pub use parts::{CameraModel, Mirror, Optics, PatchGrid, Photophysics, Species, View};
+pub use pixels::PixelSpread;
 pub use shape::Shape;
 pub use sofiscope_form::Fault;
 
@@ -166,7 +168,7 @@ impl Scene {
         &self.view
     }
 
-    /// All species, at least one.
+    /// All species, at least one unless the scene is empty.
     #[must_use]
     pub fn species(&self) -> &[Species] {
         &self.species
@@ -242,6 +244,7 @@ fn read_scene(form: &Form<'_>) -> Scene {
         grid
     });
     let species = read_species(form, exposure_ms, field, patch_grid.as_ref());
+    check_emptiness(form, !species.is_empty());
     let scene = Scene {
         name: form.text("name"),
         about: form.prose("about"),
@@ -325,10 +328,20 @@ fn read_species(
         all.push(species);
         species_form.finish();
     }
-    if all.is_empty() {
-        form.fault("species", "has no entry", "add a table `[[species]]` for each fluorophore");
-    }
     all
+}
+
+/// A scene without a sample, for darks and flats, says so.
+fn check_emptiness(form: &Form<'_>, has_species: bool) {
+    match (form.flag("empty"), has_species) {
+        (false, false) => form.fault(
+            "species",
+            "has no entry",
+            "add a table `[[species]]` for each fluorophore, or `empty = true` for darks and flats",
+        ),
+        (true, true) => form.fault("empty", "contradicts `species`", "remove one of the two"),
+        _ => {}
+    }
 }
 
 /// Checks that need the whole scene.

@@ -5,6 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::pixels::PixelSpread;
 use super::shape::{Shape, read_shapes};
 use crate::blinking::{Kinetics, Switching};
 use crate::optics::psf_sigma_px;
@@ -208,6 +209,9 @@ pub struct CameraModel {
     pub dark_electrons_per_exposure: f64,
     /// The most counts a pixel can give.
     pub saturation_counts: u16,
+    /// How its pixels differ.
+    #[serde(default)]
+    pub pixels: PixelSpread,
 }
 
 impl Default for CameraModel {
@@ -220,6 +224,7 @@ impl Default for CameraModel {
             read_noise_electrons: 1.4,
             dark_electrons_per_exposure: 0.0,
             saturation_counts: u16::MAX,
+            pixels: PixelSpread::default(),
         }
     }
 }
@@ -247,6 +252,14 @@ impl CameraModel {
                 0.0..=1e5,
             ),
             saturation_counts,
+            pixels: match form.table("pixels") {
+                None => default.pixels,
+                Some(own) => {
+                    let pixels = PixelSpread::read(&own, default.pixels);
+                    own.finish();
+                    pixels
+                }
+            },
         }
     }
 }

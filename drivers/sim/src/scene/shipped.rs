@@ -10,8 +10,17 @@ macro_rules! shipped {
     };
 }
 
-const SHIPPED: &[(&str, &str)] =
-    shipped!["figure-2", "figure-s4", "figure-s6", "figure-s7", "figure-s8", "figure-s10", "beads", "cell",];
+const SHIPPED: &[(&str, &str)] = shipped![
+    "figure-2",
+    "figure-s4",
+    "figure-s6",
+    "figure-s7",
+    "figure-s8",
+    "figure-s10",
+    "beads",
+    "cell",
+    "flat",
+];
 
 impl Scene {
     /// The text of a scene that comes with the program, such as `figure-s4`.

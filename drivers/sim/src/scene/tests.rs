@@ -184,3 +184,20 @@ proptest! {
         let _: Result<Scene, SceneError> = Scene::from_toml(&text.join("\n"));
     }
 }
+
+#[test]
+fn scenes_without_a_sample_say_so() {
+    let flat = Scene::built_in("flat").unwrap();
+    let scene = Scene::from_toml(flat).unwrap();
+    assert!(scene.species().is_empty());
+    assert!(
+        scene.cameras().iter().all(|camera| camera.pixels.hot_share == 0.001 && !camera.pixels.is_even())
+    );
+    let forgotten = flat.replace("empty = true", "");
+    assert!(Scene::from_toml(&forgotten).unwrap_err().to_string().contains("empty = true"));
+    let s4 = Scene::built_in("figure-s4").unwrap();
+    let both = format!("empty = true\n{s4}");
+    assert!(Scene::from_toml(&both).unwrap_err().to_string().contains("contradicts `species`"));
+    let exchanged = flat.replace("[200.0, 5000.0]", "[5000.0, 200.0]");
+    assert!(Scene::from_toml(&exchanged).unwrap_err().to_string().contains("hot_electrons"));
+}
