@@ -16,7 +16,7 @@ use crate::acquisition::{
 use crate::control::contracts::{self, ArmedCamera, DataPathError, Drain, PathProgress, StopRecord};
 use crate::control::plan::{AcquisitionEvent, RecordingFormat};
 use crate::control::run_state::FinishReason;
-use crate::reconstruction::{CameraLook, QualitySettings};
+use crate::reconstruction::{CameraLook, PixelMap, QualitySettings};
 use crate::recording::{
     self, CameraDescription, Format, Recording, RecordingPlan, RecordingSummary, StopStatus,
 };
@@ -133,8 +133,10 @@ impl LivePath {
         let Onlooker { board, every, saturation_counts } = self.options.onlooker.clone()?;
         let width = settings.region.width as usize;
         let pitch_nm = self.options.pixel_pitch_nm.unwrap_or(1.0);
+        let registration = self.options.analysis.as_ref().and_then(|prepared| prepared.engine.registration);
+        let map = registration.and_then(|registration| PixelMap::undoing(&registration.transform));
         let look = move |pair: &FramePair| {
-            let look = CameraLook::of(pair, width, pitch_nm, saturation_counts);
+            let look = CameraLook::of(pair, width, pitch_nm, saturation_counts).registered(map);
             board.cameras.store(Some(Arc::new(look)));
         };
         Some(LookPart { every, look: Box::new(look) })

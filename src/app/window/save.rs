@@ -8,6 +8,9 @@ use crate::app::results::overlay;
 use crate::display::PngNotes;
 use crate::files::{OutputDirectory, ResultHeader, write_result};
 use crate::reconstruction::{SofiLook, SofiStage};
+use crate::viewer::as_seen::draw;
+use crate::viewer::AsSeen;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Writes every step that there are images of.
@@ -50,6 +53,19 @@ pub(super) fn save_look(look: &SofiLook, simulated: bool, directory: &Path) -> R
         picture.write_png(&out.file("composite.png"), &notes).map_err(AppError::data)?;
     }
     Ok(out.commit()?)
+}
+
+/// Draws a pane as it is seen and writes it into a file that must not exist yet.
+///
+/// # Errors
+/// [`AppError`]: a file that is there already, a full disk, a pane without pixels.
+pub(super) fn keep_picture(picture: &AsSeen, simulated: bool) -> Result<(), AppError> {
+    let failed = |error: &dyn std::fmt::Display| AppError::Data(format!("{}: {error}", picture.path.display()));
+    let (image, notes) = draw(picture, simulated).map_err(AppError::data)?;
+    let bytes = image.to_png(&notes).map_err(AppError::data)?;
+    let file = std::fs::OpenOptions::new().write(true).create_new(true).open(&picture.path);
+    let mut file = file.map_err(|error| failed(&error))?;
+    file.write_all(&bytes).and_then(|()| file.sync_all()).map_err(|error| failed(&error))
 }
 
 #[cfg(test)]

@@ -30,7 +30,9 @@ pub(in crate::viewer) fn top(
             }
         }
         ui.separator();
-        ui.label(RichText::new(activity(&status.activity)).size(15.0));
+        let is_held = status.replay.as_ref().is_some_and(|replay| replay.is_paused);
+        let now = if is_held { "replay held" } else { activity(&status.activity) };
+        ui.label(RichText::new(now).size(15.0));
         let run = &status.run;
         if status.activity != Activity::Closed {
             ui.separator();
