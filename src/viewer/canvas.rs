@@ -36,6 +36,8 @@ pub struct Canvas {
     part_um: [f64; 4],
     limits: Vec<Limits>,
     asked: Option<Asked>,
+    /// What is to be seen, also while the renderer is busy.
+    wanted: Option<Request>,
     key: u64,
     drag: Option<Drag>,
     pace: std::time::Duration,
@@ -88,6 +90,7 @@ impl Canvas {
             part_um: [0.0; 4],
             limits: Vec::new(),
             asked: None,
+            wanted: None,
             key: 0,
             drag: None,
             pace: std::time::Duration::ZERO,
@@ -114,7 +117,7 @@ impl Canvas {
     /// What the pane shows, to be drawn again; none as long as it shows nothing.
     #[must_use]
     pub fn shown(&self) -> Option<&Request> {
-        self.asked.as_ref().map(|asked| &asked.request)
+        self.wanted.as_ref()
     }
 
     /// Draws the pane into all the room that there is; `waiting` is shown as long as there is no image.
@@ -129,7 +132,7 @@ impl Canvas {
         let mut done = Done::default();
         let Some(first) = layers.first() else {
             self.texture = None;
-            self.asked = None;
+            (self.asked, self.wanted) = (None, None);
             painter.text(
                 rect.center(),
                 Align2::CENTER_CENTER,
@@ -285,6 +288,7 @@ impl Canvas {
             size,
             pace: self.pace,
         };
+        self.wanted = Some(request.clone());
         if self.renderer.ask(request.clone(), ui.ctx()) {
             self.key += 1;
             self.asked = Some(Asked { request, view: *view });

@@ -75,7 +75,8 @@ mod tests {
 
     #[test]
     fn a_preset_carries_no_light_and_is_replaced_by_its_name() {
-        let bright = LiveSettings { order: 3, laser_power_mw: [(488, 5.0)].into(), ..LiveSettings::default() };
+        let bright =
+            LiveSettings { order: 3, laser_power_mw: [(488, 5.0)].into(), ..LiveSettings::default() };
         let view = View::default();
         let mut presets = Presets::default();
         presets.keep(Preset::of("cells".to_owned(), &bright, [(488, 5.0)].into(), &view));

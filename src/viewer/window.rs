@@ -7,14 +7,14 @@ mod gesture;
 mod keys;
 mod obey;
 
-pub use keys::SHORTCUTS;
 use gesture::Gestures;
+pub use keys::SHORTCUTS;
 
 use super::bench::{Activity, Bench, BenchStatus, Gravity, Pictures};
 use super::canvas::{Canvas, Done};
 use super::panels::{self, Forms, Wishes};
-use super::presets::Presets;
 use super::plane::layers;
+use super::presets::Presets;
 use super::settings::{Below, Side, WindowSettings};
 use super::view::{History, Subject, View};
 use crate::display::Limits;

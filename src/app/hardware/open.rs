@@ -15,8 +15,8 @@ use super::guarded::Guarded;
 use super::stage_thread::StageHandle;
 use crate::acquisition::FocusGauge;
 use crate::config::{Instrument, StageEntry, StageLink, TriggerKind};
-use crate::control::focus_lock::FocusRemote;
 use crate::control::contracts::{FocusHold, Illumination, NoLasers, StageDrive};
+use crate::control::focus_lock::FocusRemote;
 use crate::control::sequencer::{CameraStation, Devices};
 
 /// The stage is never faster than this, millimeters per second.

@@ -15,10 +15,11 @@ use crate::control::focus_lock::FocusCommand;
 use crate::control::plan::StagePosition;
 use crate::control::preflight::{Outcome, may_begin, preflight};
 use crate::control::sequencer::Command;
-use crate::viewer::bench::{
-    Activity, Bench, BenchCommand, BenchStatus, FocusAsk, Gravity, Pictures, PlanEstimate, Refused, ReplayStatus,
-};
 use crate::viewer::AsSeen;
+use crate::viewer::bench::{
+    Activity, Bench, BenchCommand, BenchStatus, FocusAsk, Gravity, Pictures, PlanEstimate, Refused,
+    ReplayStatus,
+};
 use crossbeam_channel::{Sender, TrySendError, bounded};
 use sofiscope_hal::Nanometers;
 use std::sync::Arc;

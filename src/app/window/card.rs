@@ -49,7 +49,11 @@ pub(super) fn card(instrument: &Instrument, open: &About) -> InstrumentCard {
                 reading(KNOWN_OF_CAMERAS[1], width.to_string(), "px"),
                 reading(KNOWN_OF_CAMERAS[2], height.to_string(), "px"),
                 reading(KNOWN_OF_CAMERAS[3], format!("{shortest:.3}"), "ms"),
-                reading(KNOWN_OF_CAMERAS[4], open.facts.saturation_counts[channel.index()].to_string(), "counts"),
+                reading(
+                    KNOWN_OF_CAMERAS[4],
+                    open.facts.saturation_counts[channel.index()].to_string(),
+                    "counts",
+                ),
             ],
         }
     });

@@ -53,7 +53,7 @@ pub(super) fn histogram(
                 plot.line(Line::new(name, points).color(color).width(1.5));
             }
             for handle in &handles {
-                let line = VLine::new(handle.name.clone(), handle.at()).color(COLORS[handle.color]);
+                let line = VLine::new("", handle.at()).color(COLORS[handle.color]);
                 plot.vline(line.width(if handle.is_white { 2.5 } else { 1.5 }));
             }
         });

@@ -2,9 +2,7 @@
 
 use super::lasers::will_shine;
 use super::{Forms, Own, Wishes, color_of, heading};
-use crate::viewer::bench::{
-    Activity, BenchCommand, BenchStatus, Gravity, InstrumentCard, LiveSettings,
-};
+use crate::viewer::bench::{Activity, BenchCommand, BenchStatus, Gravity, InstrumentCard, LiveSettings};
 use crate::viewer::presets::{Preset, Presets};
 use egui::{Button, ComboBox, DragValue, RichText, TextEdit, Ui, Vec2};
 use std::time::Duration;
@@ -112,20 +110,15 @@ pub(in crate::viewer) fn live(
     );
     dyes(ui, card, settings);
     let is_of = |preset: &Preset| {
-        let live = LiveSettings { laser_power_mw: preset.live.laser_power_mw.clone(), ..form.settings.clone() };
+        let live =
+            LiveSettings { laser_power_mw: preset.live.laser_power_mw.clone(), ..form.settings.clone() };
         live == preset.live && preset.powers_mw == powers_mw
     };
     let current = presets.iter().find(|preset| is_of(preset)).map(|preset| preset.name.clone());
     presets_of(ui, presets, current.as_deref(), &mut form.name, wishes);
 }
 
-fn presets_of(
-    ui: &mut Ui,
-    presets: &Presets,
-    current: Option<&str>,
-    name: &mut String,
-    wishes: &mut Wishes,
-) {
+fn presets_of(ui: &mut Ui, presets: &Presets, current: Option<&str>, name: &mut String, wishes: &mut Wishes) {
     heading(ui, "Presets");
     for preset in presets.iter() {
         ui.horizontal(|ui| {
@@ -134,7 +127,8 @@ fn presets_of(
             if label.on_hover_text(hover).clicked() {
                 wishes.own.push(Own::UsePreset(preset.name.clone()));
             }
-            let remove = ui.small_button("remove").on_hover_text(format!("Forget the preset {}", preset.name));
+            let remove =
+                ui.small_button("remove").on_hover_text(format!("Forget the preset {}", preset.name));
             if remove.clicked() {
                 wishes.own.push(Own::RemovePreset(preset.name.clone()));
             }
@@ -144,7 +138,8 @@ fn presets_of(
         let label = ui.label("Name");
         ui.add(TextEdit::singleline(name).desired_width(130.0)).labelled_by(label.id);
         let button = ui.add_enabled(!name.trim().is_empty(), Button::new("Keep as preset"));
-        let hover = "Keeps exposure, region, analysis, powers, contrast and colors for later sessions as well";
+        let hover =
+            "Keeps exposure, region, analysis, powers, contrast and colors for later sessions as well";
         if button.on_hover_text(hover).on_disabled_hover_text("Type a name first").clicked() {
             wishes.own.push(Own::KeepPreset(name.trim().to_owned()));
             name.clear();

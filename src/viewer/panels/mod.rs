@@ -130,10 +130,7 @@ pub(super) fn suggested_file(name: &str, extension: &str) -> String {
 fn free(name: &str, end: &str) -> String {
     let numbered =
         |number: u32| if number == 1 { format!("{name}{end}") } else { format!("{name}-{number}{end}") };
-    (1..10_000)
-        .map(numbered)
-        .find(|path| !std::path::Path::new(path).exists())
-        .unwrap_or_else(|| numbered(1))
+    (1..10_000).map(numbered).find(|path| !std::path::Path::new(path).exists()).unwrap_or_else(|| numbered(1))
 }
 
 #[cfg(test)]

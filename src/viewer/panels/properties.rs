@@ -75,13 +75,14 @@ fn property(
         let label = ui.label(name);
         if !row.choices.is_empty() {
             ui.add_enabled_ui(is_idle, |ui| {
-                let shown = ComboBox::from_id_salt((&device.role, name)).selected_text(value).show_ui(ui, |ui| {
-                    for choice in &row.choices {
-                        if ui.selectable_label(choice == value, choice).clicked() && choice != value {
-                            set(choice.clone());
+                let shown =
+                    ComboBox::from_id_salt((&device.role, name)).selected_text(value).show_ui(ui, |ui| {
+                        for choice in &row.choices {
+                            if ui.selectable_label(choice == value, choice).clicked() && choice != value {
+                                set(choice.clone());
+                            }
                         }
-                    }
-                });
+                    });
                 shown.response.labelled_by(label.id);
             });
             return;

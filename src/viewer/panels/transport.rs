@@ -35,7 +35,8 @@ pub(in crate::viewer) fn transport(
         if ui.add_enabled(is_playing, button).on_hover_text(hover).clicked() {
             wishes.ask(command);
         }
-        let end = ui.add_enabled(is_playing, Button::new("End")).on_hover_text("End the replay in good order (F)");
+        let end =
+            ui.add_enabled(is_playing, Button::new("End")).on_hover_text("End the replay in good order (F)");
         if end.clicked() {
             wishes.ask(BenchCommand::Finish);
         }
@@ -55,7 +56,7 @@ fn place(ui: &mut Ui, replay: &ReplayStatus, form: &mut TransportForm, wishes: &
     let time = |exposure: u64| in_words(replay.period.mul_f64(exposure as f64));
     let text = format!("{} of {}", time(at), time(replay.exposures));
     ui.spacing_mut().slider_width = (ui.available_width() - 290.0).clamp(80.0, 1200.0);
-    let label = ui.label("Exposure");
+    let label = ui.label("At exposure");
     let slider = ui
         .add(Slider::new(&mut at, 0..=last).update_while_editing(false))
         .labelled_by(label.id)

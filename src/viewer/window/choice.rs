@@ -12,13 +12,7 @@ use egui::{Button, Checkbox, ComboBox, DragValue, RichText, Ui};
 
 impl Window {
     /// The row above the images: what is shown, in which colors, with which contrast.
-    pub(super) fn choose(
-        &self,
-        ui: &mut Ui,
-        pictures: &Pictures,
-        view: &mut View,
-        wishes: &mut Wishes,
-    ) {
+    pub(super) fn choose(&self, ui: &mut Ui, pictures: &Pictures, view: &mut View, wishes: &mut Wishes) {
         ui.horizontal_wrapped(|ui| {
             let sofi = pictures.sofi.as_deref();
             let label = ui.label("Image");
@@ -73,7 +67,9 @@ fn registration(ui: &mut Ui, pictures: &Pictures, view: &mut View) {
     let mut is_applied = is_known && view.applies_registration;
     let checkbox = ui.add_enabled(is_known, Checkbox::new(&mut is_applied, "Registered"));
     let checkbox = checkbox
-        .on_hover_text("Camera T brought onto camera R by the registration in use; off shows both as they are")
+        .on_hover_text(
+            "Camera T brought onto camera R by the registration in use; off shows both as they are",
+        )
         .on_disabled_hover_text("No registration is in use: both cameras are shown as they are");
     if checkbox.changed() {
         view.applies_registration = is_applied;

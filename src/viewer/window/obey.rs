@@ -95,7 +95,8 @@ impl Window {
     /// The result's pane as it is seen, into a file.
     fn keep_picture(&mut self, pictures: &Pictures) {
         let Some(request) = self.result.shown().cloned() else {
-            self.refused = Some(("there is no image yet; start the live view first".to_owned(), Instant::now()));
+            self.refused =
+                Some(("there is no image yet; start the live view first".to_owned(), Instant::now()));
             return;
         };
         let label = match (&pictures.sofi, &pictures.cameras) {

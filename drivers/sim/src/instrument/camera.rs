@@ -75,7 +75,15 @@ impl SimulatedCamera {
             shortest_period: readout(height as u32),
             saturation_counts: body.source.saturation_counts(body.channel),
         };
-        Self { body, identity, capabilities, settings: None, armed: None, runs: 0, cooling: Cooling::default() }
+        Self {
+            body,
+            identity,
+            capabilities,
+            settings: None,
+            armed: None,
+            runs: 0,
+            cooling: Cooling::default(),
+        }
     }
 
     fn device(&self) -> String {
@@ -199,7 +207,8 @@ impl Properties for SimulatedCamera {
         if self.armed.is_some() {
             return Err(self.error(ErrorKind::Busy, format!("is armed; stop it before changing '{name}'")));
         }
-        self.cooling = self.cooling.with(name, value).map_err(|why| self.error(ErrorKind::OutOfRange, why))?;
+        self.cooling =
+            self.cooling.with(name, value).map_err(|why| self.error(ErrorKind::OutOfRange, why))?;
         Ok(())
     }
 }

@@ -33,7 +33,8 @@ impl Cooling {
         let state = PropertyValue::Text(STATES[usize::from(self.is_on)].into());
         let now = if self.is_on { self.target } else { ROOM };
         vec![
-            Property::reading(COOLER, state, "").writable(PropertyRange::Choice(STATES.map(Into::into).into())),
+            Property::reading(COOLER, state, "")
+                .writable(PropertyRange::Choice(STATES.map(Into::into).into())),
             Property::reading(TARGET, PropertyValue::Number(self.target), "°C")
                 .writable(PropertyRange::Between { least, greatest }),
             Property::reading("sensor temperature", PropertyValue::Number(now), "°C"),
@@ -67,7 +68,10 @@ mod tests {
         let warm = Cooling::default().with(COOLER, &PropertyValue::Text("off".into())).unwrap();
         assert_eq!(shown(warm, 2), PropertyValue::Number(ROOM));
         let cold = Cooling::default().with(TARGET, &PropertyValue::Number(-25.0)).unwrap();
-        assert_eq!((shown(cold, 1), shown(cold, 2)), (PropertyValue::Number(-25.0), PropertyValue::Number(-25.0)));
+        assert_eq!(
+            (shown(cold, 1), shown(cold, 2)),
+            (PropertyValue::Number(-25.0), PropertyValue::Number(-25.0))
+        );
         for (name, value) in [
             (COOLER, PropertyValue::Text("warm".into())),
             (TARGET, PropertyValue::Number(-31.0)),
