@@ -8,7 +8,7 @@ use crate::sofi::registration::ReflectedFromTransmitted;
 use ndarray::Array2;
 use std::sync::Arc;
 
-/// Bins of a histogram over the 65 536 counts of a camera.
+/// Most bins of a histogram.
 pub const HISTOGRAM_BINS: usize = 1024;
 
 /// Both cameras at one exposure.
@@ -68,8 +68,10 @@ impl PixelMap {
 pub struct OneCamera {
     /// Raw counts, row by row.
     pub counts: Arc<Vec<u16>>,
-    /// How many pixels have counts in each of [`HISTOGRAM_BINS`] equal ranges of 0 to 65 535.
+    /// How many pixels have counts in each of at most [`HISTOGRAM_BINS`] equal ranges from 0 on.
     pub histogram: Arc<Vec<u32>>,
+    /// Counts in each of these ranges: the smallest power of two with which the brightest pixel is in one of them.
+    pub bin_counts: u32,
     /// Pixels at or above the saturation of the camera.
     pub saturated: u64,
     /// Lowest, mean and highest counts.
@@ -82,10 +84,12 @@ impl OneCamera {
     /// Takes the numbers of a frame; `counts` are copied, so that the frame is free again.
     #[must_use]
     pub fn of(counts: &[u16], saturation_counts: u16) -> Self {
-        let mut histogram = vec![0_u32; HISTOGRAM_BINS];
+        let brightest = usize::from(counts.iter().copied().max().unwrap_or(0));
+        let bin_counts = (brightest / HISTOGRAM_BINS + 1).next_power_of_two();
+        let mut histogram = vec![0_u32; brightest / bin_counts + 1];
         let (mut lowest, mut highest, mut sum, mut saturated) = (u16::MAX, 0, 0_u64, 0_u64);
         for &count in counts {
-            histogram[(usize::from(count) * HISTOGRAM_BINS) >> 16] += 1;
+            histogram[usize::from(count) / bin_counts] += 1;
             lowest = lowest.min(count);
             highest = highest.max(count);
             sum += u64::from(count);
@@ -95,6 +99,7 @@ impl OneCamera {
         Self {
             counts: Arc::new(counts.to_vec()),
             histogram: Arc::new(histogram),
+            bin_counts: bin_counts as u32,
             saturated,
             range: (lowest.min(highest), mean, highest),
             saturation_counts,
@@ -216,6 +221,10 @@ mod tests {
     fn histogram_and_saturation_are_of_raw_counts() {
         let camera = OneCamera::of(&[0, 63, 64, 65_535, 60_000], 60_000);
         assert_eq!((camera.histogram[0], camera.histogram[1], camera.histogram[1023]), (2, 1, 1));
+        assert_eq!((camera.bin_counts, camera.histogram.len()), (64, HISTOGRAM_BINS));
+        let dim = OneCamera::of(&[90, 90, 1023], 60_000);
+        assert_eq!((dim.bin_counts, dim.histogram[90], dim.histogram[1023]), (1, 2, 1));
+        assert_eq!(OneCamera::of(&[1024], 60_000).bin_counts, 2);
         assert_eq!(camera.saturated, 2);
         assert_eq!((camera.range.0, camera.range.2), (0, 65_535));
         assert_eq!(camera.histogram.iter().sum::<u32>(), 5);

@@ -133,13 +133,10 @@ impl Canvas {
         let Some(first) = layers.first() else {
             self.texture = None;
             (self.asked, self.wanted) = (None, None);
-            painter.text(
-                rect.center(),
-                Align2::CENTER_CENTER,
-                waiting,
-                FontId::proportional(15.0),
-                Color32::from_gray(150),
-            );
+            let room = rect.shrink(8.0);
+            let font = FontId::proportional(15.0);
+            let text = painter.layout(waiting.to_owned(), font, Color32::from_gray(150), room.width());
+            painter.galley(room.center() - 0.5 * text.size(), text, Color32::from_gray(150));
             return done;
         };
         let extent = first.extent_um();
@@ -335,10 +332,16 @@ fn reading(layers: &[Layer], at: [f64; 2]) -> String {
         .iter()
         .filter_map(|layer| {
             let (column, row, value) = layer.at(at)?;
-            Some(format!("{} [{column}, {row}] = {value:.4}", layer.name))
+            let value = if value.is_nan() { "no value".to_owned() } else { in_digits(value) };
+            Some(format!("{} [{column}, {row}] = {value}", layer.name))
         })
         .collect();
     format!("x {:.3} µm, y {:.3} µm   {}", at[0], at[1], values.join("   "))
+}
+
+/// Counts as they are, other values with the digits that tell something.
+fn in_digits(value: f32) -> String {
+    if value.fract() == 0.0 && value.abs() < 1e6 { format!("{value}") } else { format!("{value:.4}") }
 }
 
 fn scale_bar(painter: &egui::Painter, rect: Rect, points_per_um: f64) {

@@ -26,6 +26,9 @@ const LOOKS: [Duration; 2] = [Duration::from_millis(33), Duration::from_millis(2
 /// Drawing takes at most a third of a core: the window waits so many times as long as a look has taken.
 const REST: f64 = 2.0;
 
+/// Size of the smallest writing, points.
+const SMALL: f32 = 11.0;
+
 /// The window.
 pub struct Window {
     bench: Box<dyn Bench>,
@@ -169,6 +172,12 @@ impl Window {
         if ui.ctx().theme() != theme {
             ui.ctx().set_theme(theme);
         }
+        let readable = egui::FontId::proportional(SMALL);
+        if ui.style().text_styles.get(&egui::TextStyle::Small) != Some(&readable) {
+            ui.ctx().all_styles_mut(|style| {
+                style.text_styles.insert(egui::TextStyle::Small, readable.clone());
+            });
+        }
         if (ui.ctx().zoom_factor() - self.settings.scale).abs() > 1e-3 {
             ui.ctx().set_zoom_factor(self.settings.scale);
         }
@@ -192,6 +201,7 @@ impl Window {
                 }
             });
             ui.separator();
+            panels::run(ui, status, wishes);
             ScrollArea::vertical().id_salt("side").auto_shrink([false, false]).show(ui, |ui| {
                 let Some(card) = status.instrument.as_deref() else {
                     return panels::replay(ui, status, &mut self.forms.replay, wishes);

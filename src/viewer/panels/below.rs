@@ -66,15 +66,15 @@ fn curves(ui: &mut Ui, status: &BenchStatus, pictures: &Pictures) {
         let curve = |value: &dyn Fn(&Quality) -> Option<f64>| -> Vec<[f64; 2]> {
             quality.iter().filter_map(|quality| Some([quality.exposures as f64, value(quality)?])).collect()
         };
-        plot(&mut columns[0], "SNR", height, |index| {
+        plot(&mut columns[0], ("SNR", Corner::LeftTop), height, |index| {
             last.snr_species.get(index)?;
             Some((named(index), curve(&|quality| quality.snr_species.get(index).copied().flatten())))
         });
-        plot(&mut columns[1], "resolution, nm", height, |index| {
+        plot(&mut columns[1], ("resolution, nm", Corner::LeftBottom), height, |index| {
             last.resolution.get(index)?;
             Some((named(index), curve(&|quality| quality.resolution.get(index)?.nm)))
         });
-        plot(&mut columns[2], "light left", height, |index| {
+        plot(&mut columns[2], ("light left", Corner::LeftBottom), height, |index| {
             let name = ["camera R", "camera T"].get(index)?;
             let left = |quality: &Quality| Some(quality.bleaching.get(index)?.as_ref()?.left);
             Some(((*name).to_owned(), curve(&left)))
@@ -89,7 +89,12 @@ fn names_of_results(pictures: &Pictures) -> Vec<String> {
     stage.into_iter().flat_map(|stage| sofi.stage(stage)).map(|image| image.name.clone()).collect()
 }
 
-fn plot(ui: &mut Ui, name: &str, height: f32, curve: impl Fn(usize) -> Option<(String, Vec<[f64; 2]>)>) {
+fn plot(
+    ui: &mut Ui,
+    (name, corner): (&str, Corner),
+    height: f32,
+    curve: impl Fn(usize) -> Option<(String, Vec<[f64; 2]>)>,
+) {
     let lines: Vec<_> = (0..4).map_while(curve).collect();
     if lines.iter().all(|(_, points)| points.is_empty()) {
         ui.vertical_centered(|ui| {
@@ -104,7 +109,7 @@ fn plot(ui: &mut Ui, name: &str, height: f32, curve: impl Fn(usize) -> Option<(S
         .y_axis_label(name)
         .include_y(0.0)
         .include_x(0.0)
-        .legend(Legend::default().position(Corner::RightBottom).background_alpha(0.3))
+        .legend(Legend::default().position(corner).background_alpha(0.3))
         .allow_scroll(false)
         .show(ui, |plot| {
             for ((name, points), color) in lines.into_iter().zip(COLORS) {

@@ -3,7 +3,6 @@
 use super::below::COLORS;
 use super::color_of;
 use crate::display::{Contrast, Limits};
-use crate::reconstruction::HISTOGRAM_BINS;
 use crate::viewer::bench::{Gravity, Pictures};
 use egui::{CursorIcon, Rect, RichText, Role, Sense, Ui, WidgetInfo};
 use egui_plot::{Legend, Line, Plot, PlotPoint, PlotTransform, VLine};
@@ -33,9 +32,9 @@ pub(super) fn histogram(
     }
     let height = (ui.available_height() - 6.0).max(60.0);
     let highest = look.cameras.iter().map(|camera| f64::from(camera.range.2)).fold(1.0, f64::max);
-    let step = 65_536.0 / HISTOGRAM_BINS as f64;
     let lines = look.cameras.each_ref().map(|camera| -> Vec<[f64; 2]> {
-        let bins = camera.histogram.iter().take((highest / step) as usize + 2).enumerate();
+        let step = f64::from(camera.bin_counts);
+        let bins = camera.histogram.iter().enumerate();
         bins.map(|(bin, &pixels)| [(bin as f64 + 0.5) * step, f64::from(pixels).max(0.5).log10()]).collect()
     });
     let handles = handles(limits, contrast);

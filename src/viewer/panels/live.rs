@@ -56,10 +56,11 @@ pub(in crate::viewer) fn live(
     }
     ui.add_space(4.0);
     let can_save = matches!(status.activity, Activity::Live | Activity::Idle | Activity::Replay);
-    let save = Button::new("Save images").min_size(Vec2::new(264.0, 28.0));
+    let size = Vec2::new(ui.available_width().min(268.0), 28.0);
     let hover =
         "Write every image of the running or last view as OME-TIFF, with a picture, into a new directory (S)";
-    if ui.add_enabled(can_save, save).on_hover_text(hover).clicked() {
+    let save = ui.add_enabled_ui(can_save, |ui| ui.add_sized(size, Button::new("Save images"))).inner;
+    if save.on_hover_text(hover).clicked() {
         wishes.own.push(Own::Save);
     }
     if let Some(saved) = &status.last_saved {

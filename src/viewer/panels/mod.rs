@@ -21,7 +21,7 @@ pub(super) use below::{Shown, below, profile};
 pub(super) use bottom::bottom;
 pub(super) use instrument::instrument;
 pub(super) use live::live;
-pub(super) use plan::plan;
+pub(super) use plan::{plan, run};
 pub(super) use replay::replay;
 pub(super) use start::start;
 pub(super) use top::top;
@@ -49,6 +49,8 @@ pub(super) struct Forms {
 pub(super) enum Own {
     /// Judge the text of the plan.
     JudgePlan,
+    /// Judge it, and begin unless there is something to warn of.
+    CheckAndRun,
     /// Save images under a suggested name.
     Save,
     /// Save the pane of the result as it is seen.

@@ -63,9 +63,13 @@ impl Window {
 
     fn obey_own(&mut self, ui: &Ui, own: Own, status: &BenchStatus, pictures: &Pictures) {
         match own {
-            Own::JudgePlan => {
-                let judgment = self.bench.judge_plan(&self.forms.plan.text);
-                self.forms.plan.judged = Some((self.forms.plan.text.clone(), judgment));
+            Own::JudgePlan => self.judge_plan(),
+            Own::CheckAndRun => {
+                self.judge_plan();
+                if self.forms.plan.is_clear() {
+                    let command = self.forms.plan.begin(status);
+                    self.ask(command);
+                }
             }
             Own::Save if status.instrument.is_some() => {
                 self.ask(BenchCommand::SaveResults(panels::suggested("sofiscope-images").into()));
@@ -90,6 +94,11 @@ impl Window {
         if let Err(refused) = self.bench.ask(command) {
             self.refused = Some((refused.to_string(), Instant::now()));
         }
+    }
+
+    fn judge_plan(&mut self) {
+        let judgment = self.bench.judge_plan(&self.forms.plan.text);
+        self.forms.plan.judged = Some((self.forms.plan.text.clone(), judgment));
     }
 
     /// The result's pane as it is seen, into a file.
