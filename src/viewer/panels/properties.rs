@@ -4,7 +4,7 @@ use super::{Wishes, color_of, heading};
 use crate::viewer::bench::{
     Activity, BenchCommand, BenchStatus, DeviceCard, Gravity, InstrumentCard, PropertyRow,
 };
-use egui::{Button, CollapsingHeader, ComboBox, RichText, TextEdit, Ui};
+use egui::{Button, CollapsingHeader, ComboBox, RichText, Role, TextEdit, Ui, WidgetInfo};
 use std::collections::BTreeMap;
 
 /// Devices with more properties than this get a field to search them.
@@ -93,7 +93,9 @@ fn property(
         let field = ui.add_enabled(is_idle, field).labelled_by(label.id).on_hover_text(range);
         let (enter, is_new) = (ui.input(|input| input.key_pressed(egui::Key::Enter)), typed != value);
         ui.label(unit);
-        let button = ui.add_enabled(is_idle && is_new, Button::new(format!("Set {name}")).small());
+        let button = ui.add_enabled(is_idle && is_new, Button::new("Set").small());
+        // Long names would make the panel wider, and one "Set" would be like the other to those who cannot see.
+        button.widget_info(|| WidgetInfo::labeled(Role::Button, is_idle && is_new, format!("Set {name}")));
         if button.clicked() || (field.lost_focus() && enter && is_new) {
             set(typed.trim().to_owned());
         }
