@@ -6,7 +6,7 @@ use egui::{Event, Key, Modifiers, MouseWheelSource, MouseWheelUnit, TouchPhase, 
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use sofiscope::display::{Contrast, Limits};
-use sofiscope::reconstruction::{CameraLook, PixelMap, Quality, SofiStage};
+use sofiscope::reconstruction::{PixelMap, Quality, SofiStage};
 use sofiscope::viewer::Window;
 use sofiscope::viewer::bench::{Activity, BenchStatus, Pictures};
 use sofiscope::viewer::plane::layers;
