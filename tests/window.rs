@@ -232,6 +232,8 @@ mod tests {
         bench.key("o");
         bench.see("4-both-cameras", |width, pixels| !shows_three_dyes(width, pixels));
         bench.key("5");
+        bench.key("e");
+        bench.hear("saved: sofiscope-picture.png");
         bench.click("3", 700, 200);
         bench.hear("the stage is at");
         bench.key("ctrl+period");

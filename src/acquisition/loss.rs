@@ -84,6 +84,29 @@ impl Loss {
         }
     }
 
+    /// The reason for people, to follow a number of frames: "3 frames never delivered by the camera".
+    #[must_use]
+    pub fn in_words(self) -> &'static str {
+        match self {
+            Self::UpstreamGap => "never delivered by the camera or its cable",
+            Self::Incomplete => "came with packets missing",
+            Self::Timeout => "came too late",
+            Self::SizeMismatch => "came in a wrong size",
+            Self::BadCrc => "have a wrong checksum",
+            Self::NoBuffer => "found no free memory",
+            Self::QueueFull => "found a full queue",
+            Self::ShedByPolicy => "left out to keep up",
+            Self::DiskFull => "not written, as the disk is full",
+            Self::IoError => "not written, as the disk failed",
+            Self::Unpaired => "without their partner from the other camera",
+            Self::Misaligned => "of another exposure by the camera's clock",
+            Self::ForeignSource => "from a camera that is not part of the run",
+            Self::Stopping => "on their way when the run was stopped",
+            Self::CrashTail => "on their way when the program ended",
+            Self::OutOfFocus => "out of focus",
+        }
+    }
+
     /// The reason with this name.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
@@ -106,6 +129,7 @@ mod tests {
         for loss in Loss::ALL {
             assert_eq!(serde_json::to_string(&loss).unwrap(), format!("\"{loss}\""));
             assert_eq!(Loss::named(loss.name()), Some(loss));
+            assert!(!loss.in_words().contains('_') && loss.in_words().len() > 5);
         }
     }
 }

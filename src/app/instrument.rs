@@ -12,6 +12,7 @@ use super::simulated::{self, Rig, RigFacts};
 use super::text_file::read_text;
 use crate::acquisition::{LeaveOut, Patience, Surroundings};
 use crate::config::{CameraKind, Instrument, Simulation, StageLink};
+use crate::control::focus_lock::FocusRemote;
 use crate::control::plan::{Plan, RecordingFormat};
 use crate::control::preflight::{AnalysisFacts, CameraFacts, DiskFacts, Facts, MemoryFacts};
 use crate::control::sequencer::Devices;
@@ -91,6 +92,8 @@ pub(super) struct About {
     pub(super) stage: Option<StageHandle>,
     /// What lasers and gates say of themselves, if there are any.
     pub(super) lights: Option<Guarded>,
+    /// The focus lock, for whoever asks and looks beside the sequencer.
+    pub(super) focus: Option<FocusRemote>,
     /// Rows and columns of the simulated sample.
     scene: Option<(String, [usize; 2])>,
     species: Option<Vec<Species>>,
@@ -257,7 +260,7 @@ impl About {
 }
 
 fn real(instrument: &Instrument, text: &str) -> Result<OpenInstrument, AppError> {
-    let hardware::Opened { rig, is_virtual, identities, stage, lights, warnings } =
+    let hardware::Opened { rig, is_virtual, identities, stage, lights, focus, warnings } =
         hardware::open(instrument, text)?;
     let about = About {
         facts: rig.facts,
@@ -267,6 +270,7 @@ fn real(instrument: &Instrument, text: &str) -> Result<OpenInstrument, AppError>
         warnings,
         stage,
         lights,
+        focus,
         scene: None,
         species: None,
         registration: None,
@@ -319,6 +323,7 @@ fn simulated(instrument: &Instrument, path: &Path, lasts: Sample) -> Result<Open
         warnings: Vec::new(),
         stage,
         lights: None,
+        focus: None,
         species: Some(species_of(&world)?),
         registration: None,
         camera_maps: Vec::new(),

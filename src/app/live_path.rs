@@ -16,7 +16,7 @@ use crate::acquisition::{
 use crate::control::contracts::{self, ArmedCamera, DataPathError, Drain, PathProgress, StopRecord};
 use crate::control::plan::{AcquisitionEvent, RecordingFormat};
 use crate::control::run_state::FinishReason;
-use crate::reconstruction::{CameraLook, QualitySettings};
+use crate::reconstruction::{CameraLook, PixelMap, QualitySettings};
 use crate::recording::{
     self, CameraDescription, Format, Recording, RecordingPlan, RecordingSummary, StopStatus,
 };
@@ -84,7 +84,15 @@ struct Series {
     report: Option<RunReport<PreviewPicture>>,
     closed: Option<RecordingSummary>,
     last: Progress,
+    seen: [Seen; 2],
     told_failure: bool,
+}
+
+/// Frames of a camera and of the other one when its last frame was seen.
+#[derive(Debug, Clone, Copy, Default)]
+struct Seen {
+    own: u64,
+    other: u64,
 }
 
 impl LivePath {
@@ -133,8 +141,10 @@ impl LivePath {
         let Onlooker { board, every, saturation_counts } = self.options.onlooker.clone()?;
         let width = settings.region.width as usize;
         let pitch_nm = self.options.pixel_pitch_nm.unwrap_or(1.0);
+        let registration = self.options.analysis.as_ref().and_then(|prepared| prepared.engine.registration);
+        let map = registration.and_then(|registration| PixelMap::undoing(&registration.transform));
         let look = move |pair: &FramePair| {
-            let look = CameraLook::of(pair, width, pitch_nm, saturation_counts);
+            let look = CameraLook::of(pair, width, pitch_nm, saturation_counts).registered(map);
             board.cameras.store(Some(Arc::new(look)));
         };
         Some(LookPart { every, look: Box::new(look) })
@@ -232,6 +242,7 @@ impl contracts::DataPath for LivePath {
             report: None,
             closed: None,
             last: Progress::default(),
+            seen: [Seen::default(); 2],
             told_failure: false,
         });
         Ok(())
@@ -259,7 +270,14 @@ impl contracts::DataPath for LivePath {
                 // Nothing more will come: exposures at the very end that no camera delivered are settled as well.
                 exposures = exposures.max(series.wanted.unwrap_or(exposures));
             }
-            failure = failure_of(running, series.settings.period, patience);
+            let frames = running.frames();
+            for (seen, [own, other]) in series.seen.iter_mut().zip([frames, [frames[1], frames[0]]]) {
+                if seen.own != own {
+                    *seen = Seen { own, other };
+                }
+            }
+            let since = [frames[1] - series.seen[0].other, frames[0] - series.seen[1].other];
+            failure = failure_of(running, since, series.settings.period, patience);
         }
         let failure = failure.filter(|_| !series.told_failure);
         series.told_failure |= failure.is_some();
@@ -324,8 +342,10 @@ fn numbers(running: &mut DataPath<PreviewPicture>, progress: &Progress, before: 
     PathNumbers { progress: progress.clone(), frames, latency, quality }
 }
 
+/// What has failed; `since` are the frames that the other camera has delivered since the last one of R and of T.
 fn failure_of(
     running: &DataPath<PreviewPicture>,
+    since: [u64; 2],
     period: Duration,
     patience: Patience,
 ) -> Option<DataPathError> {
@@ -346,9 +366,11 @@ fn failure_of(
     }
     let limit = LONGEST_SILENCE.max(5 * period);
     let (silence, frames) = (running.silence(), running.frames());
+    // A pause silences both cameras, and one of them is the first to be heard again.
+    let enough = ((limit.as_secs_f64() / period.as_secs_f64().max(1e-6)) as u64 / 2).max(3);
     let stalled = Channel::BOTH.into_iter().find(|channel| {
         let (own, other) = (silence[channel.index()], silence[channel.other().index()]);
-        own > limit && other < limit && frames[channel.other().index()] > 0
+        own > limit && other < limit && since[channel.index()] >= enough
     })?;
     Some(DataPathError::Device(format!(
         "no frame from {stalled} for {} ms after {} frames, while the other camera delivers; \

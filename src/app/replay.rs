@@ -15,7 +15,7 @@ use crate::control::contracts::NoLasers;
 use crate::control::plan::{AcquisitionEvent, RecordingFormat};
 use crate::control::sequencer::{CameraStation, Devices};
 use crate::files::ImageStack;
-use crate::replay::{Replay, ReplayOptions, ReplaySpeed, open};
+use crate::replay::{Replay, ReplayControl, ReplayOptions, ReplaySpeed, open};
 use serde::Serialize;
 use sofiscope_hal::{Camera, Channel};
 use std::path::{Path, PathBuf};
@@ -135,6 +135,8 @@ pub(super) struct Playable {
     pub(super) simulated: bool,
     /// What is played, for people.
     pub(super) description: String,
+    /// Play, pause and speed.
+    pub(super) control: ReplayControl,
 }
 
 /// Opens files as cameras.
@@ -171,11 +173,13 @@ pub(super) fn playable(request: ReplayRequest<'_>) -> Result<Playable, AppError>
         region: recorded[channel.index()].region,
         camera: Box::new(camera),
     });
-    let devices = Devices::new(stations.collect(), None, Box::new(NoLasers), None);
+    let devices = Devices::new(stations.collect(), None, Box::new(NoLasers), None)
+        .with_pacer(Box::new(replay.control.clone()));
     let mut event = simulated::series(recorded[0].period, exposures, RecordingFormat::None);
     event.cameras.exposure = recorded[0].exposure;
     event.cameras.trigger = Some(sofiscope_hal::TriggerMode::FreeRunning);
-    Ok(Playable { devices, options, event, prepared, simulated, description })
+    let control = replay.control;
+    Ok(Playable { devices, options, event, prepared, simulated, description, control })
 }
 
 /// Plays files through the pipeline and writes the results into a directory that must not exist.
@@ -183,7 +187,7 @@ pub(super) fn play(
     request: ReplayRequest<'_>,
     out: &Path,
 ) -> Result<(Ended, PathBuf, super::results::Summary), AppError> {
-    let Playable { devices, options, event, prepared, simulated, description } = playable(request)?;
+    let Playable { devices, options, event, prepared, simulated, description, .. } = playable(request)?;
     eprintln!("replay: {description}");
     let mut acquired = acquire(devices, options, vec![event])?;
     if let Some(failure) = acquired.failure() {

@@ -8,7 +8,7 @@ use super::analysis::{Analysis, Prepared};
 use super::live_path::{LivePath, PathOptions, SeriesResult, reason_text};
 use super::progress::Progress;
 use super::results::{COMPOSITE_SIDE, Scores, Summary, ensure_space, write_results};
-use crate::acquisition::HostClock;
+use crate::acquisition::{HostClock, Loss};
 use crate::control::contracts::{Clock, StopRecord};
 use crate::control::plan::AcquisitionEvent;
 use crate::control::run_state::FinishReason;
@@ -179,7 +179,9 @@ impl Ended {
     /// The books in one line.
     pub(super) fn line(&self) -> String {
         let lost: u64 = self.frames_lost.values().sum();
-        let reasons: Vec<String> = self.frames_lost.iter().map(|(why, n)| format!("{n} {why}")).collect();
+        let words = |name: &str| Loss::named(name).map_or(name.to_owned(), |loss| loss.in_words().to_owned());
+        let reasons: Vec<String> =
+            self.frames_lost.iter().map(|(why, n)| format!("{n} {}", words(why))).collect();
         let why = if lost > 0 { format!(" ({})", reasons.join(", ")) } else { String::new() };
         let recording = self.recording.as_ref().map(|path| format!(", recording {}", path.display()));
         format!(
@@ -287,10 +289,11 @@ fn loss_warnings(result: &SeriesResult) -> Vec<String> {
     let accounts = &result.report.dispatch.accounts;
     let mut warnings = Vec::new();
     for (reason, frames) in accounts.lost_by_reason() {
-        warnings.push(format!("{frames} frames were lost: {reason}."));
+        warnings.push(format!("{frames} frames were lost: {} ({reason}).", reason.in_words()));
     }
     for (reason, pairs) in &accounts.analysis_left_out {
-        warnings.push(format!("{pairs} pairs were not analyzed while frames came: {reason}."));
+        let words = reason.in_words();
+        warnings.push(format!("{pairs} pairs were not analyzed while frames came: {words} ({reason})."));
     }
     if let Err(law) = accounts.balance() {
         warnings.push(format!("The books do not balance, which is a defect of the program: {law}."));

@@ -303,7 +303,7 @@ impl Sequencer<'_> {
     }
 
     fn obey(&mut self, series: &mut Series, command: Command) {
-        if command == Command::Pause && !self.devices.is_triggered() {
+        if command == Command::Pause && !self.devices.can_pause() {
             tracing::warn!("a pause is not possible where cameras run by themselves; stop the run instead");
             return;
         }

@@ -4,10 +4,11 @@
 //! Never: keeps memory of the frame pool, judges saturation on anything but raw counts. Fails: not at all.
 
 use crate::acquisition::FramePair;
+use crate::sofi::registration::ReflectedFromTransmitted;
 use ndarray::Array2;
 use std::sync::Arc;
 
-/// Bins of a histogram over the 65 536 counts of a camera.
+/// Most bins of a histogram.
 pub const HISTOGRAM_BINS: usize = 1024;
 
 /// Both cameras at one exposure.
@@ -23,6 +24,43 @@ pub struct CameraLook {
     pub cameras: [OneCamera; 2],
     /// Side of a camera pixel in the sample, nanometers.
     pub pixel_pitch_nm: f64,
+    /// Where camera T sees what camera R sees; none for cameras that come aligned.
+    pub transmitted_from_reflected: Option<PixelMap>,
+}
+
+/// From pixels of one camera to those of the other: `q = matrix * p + shift`, all `[y, x]`, whole numbers in the
+/// middle of pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PixelMap {
+    /// Rows for y and x, columns for y and x.
+    pub matrix: [[f64; 2]; 2],
+    /// Pixels.
+    pub shift: [f64; 2],
+}
+
+impl PixelMap {
+    /// The way of a registration from R to T; none for a map that cannot be undone.
+    #[must_use]
+    pub fn undoing(registration: &ReflectedFromTransmitted) -> Option<Self> {
+        let way = registration.affine.inverse()?;
+        let mut map = Self { matrix: way.matrix, shift: way.shift };
+        for (axis, is_flipped) in registration.mirror.flips().into_iter().enumerate() {
+            if is_flipped {
+                map.matrix[axis] = map.matrix[axis].map(|entry| -entry);
+                map.shift[axis] = registration.size[axis] as f64 - 1.0 - map.shift[axis];
+            }
+        }
+        Some(map)
+    }
+
+    /// Where the other camera sees a point.
+    #[must_use]
+    pub fn apply(&self, point: [f64; 2]) -> [f64; 2] {
+        std::array::from_fn(|axis| {
+            let [to_y, to_x] = self.matrix[axis];
+            to_y * point[0] + to_x * point[1] + self.shift[axis]
+        })
+    }
 }
 
 /// One camera at one exposure.
@@ -30,8 +68,10 @@ pub struct CameraLook {
 pub struct OneCamera {
     /// Raw counts, row by row.
     pub counts: Arc<Vec<u16>>,
-    /// How many pixels have counts in each of [`HISTOGRAM_BINS`] equal ranges of 0 to 65 535.
+    /// How many pixels have counts in each of at most [`HISTOGRAM_BINS`] equal ranges from 0 on.
     pub histogram: Arc<Vec<u32>>,
+    /// Counts in each of these ranges: the smallest power of two with which the brightest pixel is in one of them.
+    pub bin_counts: u32,
     /// Pixels at or above the saturation of the camera.
     pub saturated: u64,
     /// Lowest, mean and highest counts.
@@ -44,10 +84,12 @@ impl OneCamera {
     /// Takes the numbers of a frame; `counts` are copied, so that the frame is free again.
     #[must_use]
     pub fn of(counts: &[u16], saturation_counts: u16) -> Self {
-        let mut histogram = vec![0_u32; HISTOGRAM_BINS];
+        let brightest = usize::from(counts.iter().copied().max().unwrap_or(0));
+        let bin_counts = (brightest / HISTOGRAM_BINS + 1).next_power_of_two();
+        let mut histogram = vec![0_u32; brightest / bin_counts + 1];
         let (mut lowest, mut highest, mut sum, mut saturated) = (u16::MAX, 0, 0_u64, 0_u64);
         for &count in counts {
-            histogram[(usize::from(count) * HISTOGRAM_BINS) >> 16] += 1;
+            histogram[usize::from(count) / bin_counts] += 1;
             lowest = lowest.min(count);
             highest = highest.max(count);
             sum += u64::from(count);
@@ -57,6 +99,7 @@ impl OneCamera {
         Self {
             counts: Arc::new(counts.to_vec()),
             histogram: Arc::new(histogram),
+            bin_counts: bin_counts as u32,
             saturated,
             range: (lowest.min(highest), mean, highest),
             saturation_counts,
@@ -71,7 +114,14 @@ impl CameraLook {
         let look = |channel: usize| OneCamera::of(pair.frames[channel].counts(), saturation_counts[channel]);
         let cameras = [look(0), look(1)];
         let height = cameras[0].counts.len() / width.max(1);
-        Self { exposure: pair.exposure.0, width, height, cameras, pixel_pitch_nm }
+        let exposure = pair.exposure.0;
+        Self { exposure, width, height, cameras, pixel_pitch_nm, transmitted_from_reflected: None }
+    }
+
+    /// The same with what is known of where both cameras see the same.
+    #[must_use]
+    pub fn registered(self, transmitted_from_reflected: Option<PixelMap>) -> Self {
+        Self { transmitted_from_reflected, ..self }
     }
 }
 
@@ -151,11 +201,30 @@ impl SofiLook {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sofi::registration::{Affine, Mirror};
+
+    #[test]
+    fn the_way_from_r_to_t_undoes_the_registration() {
+        for (_, mirror) in Mirror::NAMES {
+            let affine = Affine { matrix: [[1.01, 0.02], [-0.02, 0.99]], shift: [3.5, -7.25] };
+            let registration = ReflectedFromTransmitted { mirror, affine, size: [48, 64] };
+            let map = PixelMap::undoing(&registration).unwrap();
+            for in_transmitted in [[0.0, 0.0], [11.5, 40.25], [47.0, 63.0]] {
+                let back = map.apply(registration.apply(in_transmitted));
+                let off = (back[0] - in_transmitted[0]).hypot(back[1] - in_transmitted[1]);
+                assert!(off < 1e-9, "{mirror:?}: {in_transmitted:?} became {back:?}");
+            }
+        }
+    }
 
     #[test]
     fn histogram_and_saturation_are_of_raw_counts() {
         let camera = OneCamera::of(&[0, 63, 64, 65_535, 60_000], 60_000);
         assert_eq!((camera.histogram[0], camera.histogram[1], camera.histogram[1023]), (2, 1, 1));
+        assert_eq!((camera.bin_counts, camera.histogram.len()), (64, HISTOGRAM_BINS));
+        let dim = OneCamera::of(&[90, 90, 1023], 60_000);
+        assert_eq!((dim.bin_counts, dim.histogram[90], dim.histogram[1023]), (1, 2, 1));
+        assert_eq!(OneCamera::of(&[1024], 60_000).bin_counts, 2);
         assert_eq!(camera.saturated, 2);
         assert_eq!((camera.range.0, camera.range.2), (0, 65_535));
         assert_eq!(camera.histogram.iter().sum::<u32>(), 5);

@@ -15,7 +15,7 @@ mod workers;
 pub use chain::{ChainSettings, FlatteningKind, ReconstructionError, Stages, reconstruct};
 pub use feed::{BLOCK, Feed, FeedError, feed};
 pub use live::{LiveAnalysis, LiveReport};
-pub use look::{CameraLook, HISTOGRAM_BINS, OneCamera, SofiLook, SofiStage, StageImage};
+pub use look::{CameraLook, HISTOGRAM_BINS, OneCamera, PixelMap, SofiLook, SofiStage, StageImage};
 pub use preview::{Preview, PreviewLink, PreviewReport, PreviewSettings, Shown, Snapshot, preview};
 pub use quality::{
     BleachingState, CENTRAL_SIDE, CameraDrift, LagCheck, MOST_DRIFT_PX, Quality, QualityError,

@@ -7,6 +7,7 @@ use super::camera::{Cut, Reel};
 use super::source::FrameSource;
 use super::timeline::ReplaySpeed;
 use sofiscope_hal::clock::nanoseconds;
+use sofiscope_hal::{DeviceError, TriggerSource};
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
@@ -83,6 +84,12 @@ impl ReplayControl {
         Ok(())
     }
 
+    /// Exposures of the whole recording, and the time from one to the next.
+    #[must_use]
+    pub fn extent(&self) -> (u64, Duration) {
+        (self.exposures, self.period)
+    }
+
     fn part(&self, camera: usize, start: u64) -> Result<Part, ReplayError> {
         let reel = &self.reels[camera];
         let mut source = reel.source();
@@ -95,6 +102,19 @@ impl ReplayControl {
         let last = source.frames() - 1;
         let last = source.frame(last)?;
         Ok(Part { begin, times: Some((first.received.0, last.received.0)) })
+    }
+}
+
+/// Frames come by the times of the recording: start lets them go on, stop holds them back.
+impl TriggerSource for ReplayControl {
+    fn start(&mut self, _period: Duration, _pulses: Option<u64>) -> Result<(), DeviceError> {
+        self.resume();
+        Ok(())
+    }
+
+    fn stop(&mut self) -> Result<(), DeviceError> {
+        self.pause();
+        Ok(())
     }
 }
 

@@ -6,15 +6,15 @@
 use super::bench::Pictures;
 use super::plane::{Layer, layers, mean_layers};
 use super::renderer::{Renderer, Request};
-use super::view::{Subject, View, Zoom};
-use crate::display::{Contrast, Limits, nice_length_at_most};
+use super::view::{View, Zoom};
+use crate::display::{Limits, nice_length_at_most};
 use egui::{Align2, Color32, FontId, Pos2, Rect, Response, Sense, Stroke, StrokeKind, Ui, Vec2};
 
 /// What a person did in a pane.
 #[derive(Debug, Clone, Default)]
 pub struct Done {
-    /// A new zoom, and whether a drag or scroll goes on.
-    pub zoom: Option<(Option<Zoom>, bool)>,
+    /// A new zoom; none within for the whole image.
+    pub zoom: Option<Option<Zoom>>,
     /// The divider was dragged there.
     pub split: Option<f64>,
     /// A line from one place to another, micrometers.
@@ -36,6 +36,8 @@ pub struct Canvas {
     part_um: [f64; 4],
     limits: Vec<Limits>,
     asked: Option<Asked>,
+    /// What is to be seen, also while the renderer is busy.
+    wanted: Option<Request>,
     key: u64,
     drag: Option<Drag>,
     pace: std::time::Duration,
@@ -44,11 +46,7 @@ pub struct Canvas {
 /// What was asked of the renderer last.
 #[derive(Debug)]
 struct Asked {
-    layers: Vec<Layer>,
-    split: Option<f64>,
-    contrast: Contrast,
-    part_um: [f64; 4],
-    size: [usize; 2],
+    request: Request,
     view: View,
 }
 
@@ -92,6 +90,7 @@ impl Canvas {
             part_um: [0.0; 4],
             limits: Vec::new(),
             asked: None,
+            wanted: None,
             key: 0,
             drag: None,
             pace: std::time::Duration::ZERO,
@@ -115,6 +114,12 @@ impl Canvas {
         self.texture.is_some()
     }
 
+    /// What the pane shows, to be drawn again; none as long as it shows nothing.
+    #[must_use]
+    pub fn shown(&self) -> Option<&Request> {
+        self.wanted.as_ref()
+    }
+
     /// Draws the pane into all the room that there is; `waiting` is shown as long as there is no image.
     pub fn ui(&mut self, ui: &mut Ui, pictures: &Pictures, view: &View, waiting: &str) -> Done {
         let (rect, response) =
@@ -127,14 +132,11 @@ impl Canvas {
         let mut done = Done::default();
         let Some(first) = layers.first() else {
             self.texture = None;
-            self.asked = None;
-            painter.text(
-                rect.center(),
-                Align2::CENTER_CENTER,
-                waiting,
-                FontId::proportional(15.0),
-                Color32::from_gray(150),
-            );
+            (self.asked, self.wanted) = (None, None);
+            let room = rect.shrink(8.0);
+            let font = FontId::proportional(15.0);
+            let text = painter.layout(waiting.to_owned(), font, Color32::from_gray(150), room.width());
+            painter.galley(room.center() - 0.5 * text.size(), text, Color32::from_gray(150));
             return done;
         };
         let extent = first.extent_um();
@@ -176,7 +178,7 @@ impl Canvas {
             if (factor - 1.0).abs() > 1e-6 {
                 let offset = pointer - place.middle;
                 let zoom = place.zoom.about([f64::from(offset.x), f64::from(offset.y)], factor);
-                done.zoom = Some((Some(zoom), view.zoom.is_some()));
+                done.zoom = Some(Some(zoom));
             }
         }
         if response.drag_started()
@@ -197,7 +199,7 @@ impl Canvas {
                 (None, _) => {
                     let by = response.drag_delta();
                     let zoom = place.zoom.moved([f64::from(by.x), f64::from(by.y)]);
-                    done.zoom = Some((Some(zoom), !response.drag_started()));
+                    done.zoom = Some(Some(zoom));
                 }
                 (Some(Drag::Line(from)), Some(to)) => done.line_um = Some([from, to]),
                 (Some(Drag::Rectangle(from)), Some(to)) => {
@@ -221,7 +223,7 @@ impl Canvas {
             self.drag = None;
         }
         if response.double_clicked() {
-            done.zoom = Some((None, false));
+            done.zoom = Some(None);
         }
         if response.secondary_clicked()
             && let Some(pointer) = response.interact_pointer_pos()
@@ -259,18 +261,17 @@ impl Canvas {
         let points = f64::from(ui.ctx().pixels_per_point()) * place.zoom.scale;
         let size = [width, height].map(|um| ((um * points).round() as usize).clamp(1, 4096));
         let part_um = [left, top, width, height];
-        let split = view.split.filter(|_| shows_result(view.subject)).map(|share| {
+        let split = view.split.filter(|_| view.shows_result()).map(|share| {
             let at = place.to_sample(Pos2::new(divider(rect, share), rect.top()))[0];
             ((at - left) / width).clamp(0.0, 1.0)
         });
-        let is_known = self.asked.as_ref().is_some_and(|asked| {
-            asked.part_um == part_um
-                && asked.size == size
-                && asked.split == split
-                && asked.contrast == view.contrast()
-                && asked.view == *view
-                && asked.layers.len() == layers.len()
-                && asked.layers.iter().zip(layers).all(|(a, b)| a.pixels.is_same(&b.pixels))
+        let is_known = self.asked.as_ref().is_some_and(|Asked { request, view: asked }| {
+            request.part_um == part_um
+                && request.size == size
+                && request.split.as_ref().map(|(share, _)| *share) == split
+                && asked == view
+                && request.layers.len() == layers.len()
+                && request.layers.iter().zip(layers).all(|(a, b)| a.pixels.is_same(&b.pixels))
         });
         if is_known {
             return;
@@ -284,17 +285,17 @@ impl Canvas {
             size,
             pace: self.pace,
         };
-        if self.renderer.ask(request, ui.ctx()) {
+        self.wanted = Some(request.clone());
+        if self.renderer.ask(request.clone(), ui.ctx()) {
             self.key += 1;
-            let contrast = view.contrast();
-            self.asked = Some(Asked { layers: layers.to_vec(), split, contrast, part_um, size, view: *view });
+            self.asked = Some(Asked { request, view: *view });
         } else {
             ui.ctx().request_repaint_after(std::time::Duration::from_millis(15));
         }
     }
 
     fn overlays(&self, painter: &egui::Painter, rect: Rect, place: Place, view: &View, response: &Response) {
-        if let Some(share) = view.split.filter(|_| shows_result(view.subject)) {
+        if let Some(share) = view.split.filter(|_| view.shows_result()) {
             let x = divider(rect, share);
             painter.vline(x, rect.y_range(), Stroke::new(1.5, Color32::WHITE));
             let font = FontId::proportional(12.0);
@@ -317,11 +318,6 @@ impl Canvas {
     }
 }
 
-/// Whether an image can be compared with the mean.
-fn shows_result(subject: Subject) -> bool {
-    matches!(subject, Subject::One(..) | Subject::Composite(_))
-}
-
 fn divider(rect: Rect, share: f64) -> f32 {
     rect.left() + rect.width() * share as f32
 }
@@ -336,10 +332,16 @@ fn reading(layers: &[Layer], at: [f64; 2]) -> String {
         .iter()
         .filter_map(|layer| {
             let (column, row, value) = layer.at(at)?;
-            Some(format!("{} [{column}, {row}] = {value:.4}", layer.name))
+            let value = if value.is_nan() { "no value".to_owned() } else { in_digits(value) };
+            Some(format!("{} [{column}, {row}] = {value}", layer.name))
         })
         .collect();
     format!("x {:.3} µm, y {:.3} µm   {}", at[0], at[1], values.join("   "))
+}
+
+/// Counts as they are, other values with the digits that tell something.
+fn in_digits(value: f32) -> String {
+    if value.fract() == 0.0 && value.abs() < 1e6 { format!("{value}") } else { format!("{value:.4}") }
 }
 
 fn scale_bar(painter: &egui::Painter, rect: Rect, points_per_um: f64) {

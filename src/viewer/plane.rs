@@ -6,7 +6,7 @@
 use super::bench::Pictures;
 use super::view::{Subject, View};
 use crate::display::{Colormap, Contrast, Limits, Rgb, default_colors};
-use crate::reconstruction::{SofiStage, StageImage};
+use crate::reconstruction::{PixelMap, SofiStage, StageImage};
 use ndarray::Array2;
 use std::sync::Arc;
 
@@ -95,6 +95,8 @@ pub struct Layer {
     pub pixel_pitch_nm: f64,
     /// Its colors.
     pub paint: Paint,
+    /// From the pixels that it is drawn on to its own, where those are not the same.
+    pub warp: Option<PixelMap>,
 }
 
 impl Layer {
@@ -108,13 +110,19 @@ impl Layer {
     /// The pixel at a place, micrometers from the corner: column, row, value.
     #[must_use]
     pub fn at(&self, place_um: [f64; 2]) -> Option<(usize, usize, f32)> {
-        let (rows, columns) = self.pixels.size();
-        let [x, y] = place_um.map(|um| (um * 1e3 / self.pixel_pitch_nm).floor());
-        if x < 0.0 || y < 0.0 || x >= columns as f64 || y >= rows as f64 {
-            return None;
-        }
-        let (column, row) = (x as usize, y as usize);
+        let [x, y] = place_um.map(|um| um * 1e3 / self.pixel_pitch_nm);
+        let (row, column) = self.pixel(y, x)?;
         Some((column, row, self.pixels.value(row, column)))
+    }
+
+    /// Row and column of its own pixel at a place in pixels from the corner of what it is drawn on.
+    #[must_use]
+    pub fn pixel(&self, y: f64, x: f64) -> Option<(usize, usize)> {
+        let (rows, columns) = self.pixels.size();
+        // Maps are from middle to middle of pixels.
+        let [y, x] = self.warp.map_or([y, x], |warp| warp.apply([y - 0.5, x - 0.5]).map(|at| at + 0.5));
+        let is_inside = y >= 0.0 && x >= 0.0 && y < rows as f64 && x < columns as f64;
+        is_inside.then_some((y as usize, x as usize))
     }
 }
 
@@ -130,10 +138,13 @@ pub fn layers(pictures: &Pictures, view: &View) -> Vec<Layer> {
             .collect(),
         Subject::Overlay => {
             let colors = default_colors(2);
+            let known = pictures.cameras.as_ref().and_then(|look| look.transmitted_from_reflected);
+            let warps = [None, known.filter(|_| view.applies_registration)];
             cameras(pictures, view)
                 .into_iter()
                 .zip(colors)
-                .map(|(layer, color)| Layer { paint: Paint::Color(color), ..layer })
+                .zip(warps)
+                .map(|((layer, color), warp)| Layer { paint: Paint::Color(color), warp, ..layer })
                 .collect()
         }
         Subject::One(stage, index) => {
@@ -170,6 +181,7 @@ fn of_stage(image: &StageImage) -> Layer {
         pixels: Pixels::Values(Arc::clone(&image.image)),
         pixel_pitch_nm: image.pixel_pitch_nm,
         paint: Paint::Map(Colormap::Gray),
+        warp: None,
     }
 }
 
@@ -189,6 +201,7 @@ fn cameras(pictures: &Pictures, view: &View) -> Vec<Layer> {
         },
         pixel_pitch_nm: look.pixel_pitch_nm,
         paint: Paint::Map(Colormap::Gray),
+        warp: None,
     })
     .collect()
 }

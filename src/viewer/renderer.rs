@@ -153,12 +153,21 @@ fn paint(
             )
         })
         .collect();
+    let warped: Vec<_> = layers
+        .iter()
+        .map(|layer| layer.warp.map(|_| Warped::of(layer, request.part_um, request.size)))
+        .collect();
     for row in 0..rows {
         for column in within.clone() {
             let mut color = [0.0_f32; 3];
             let (mut is_inside, mut is_unknown, mut is_saturated) = (false, true, false);
-            for ((layer, limits), (down, across)) in layers.iter().zip(limits).zip(&plans) {
-                let ((top, bottom), (left, right)) = (down[row], across[column]);
+            for (((layer, limits), (down, across)), warped) in
+                layers.iter().zip(limits).zip(&plans).zip(&warped)
+            {
+                let ((top, bottom), (left, right)) = match warped {
+                    Some(warped) => warped.sources(layer, row, column),
+                    None => (down[row], across[column]),
+                };
                 if top == bottom || left == right {
                     continue;
                 }
@@ -185,6 +194,36 @@ fn paint(
                 }
             };
         }
+    }
+}
+
+/// Where a layer that is mapped onto another has the pixels of the picture.
+struct Warped {
+    /// Corner of the picture, `[y, x]` in pixels of what it is drawn on.
+    corner: [f64; 2],
+    /// Pixels for one pixel of the picture, `[y, x]`.
+    step: [f64; 2],
+}
+
+impl Warped {
+    fn of(layer: &Layer, [left, top, width, height]: [f64; 4], [columns, rows]: [usize; 2]) -> Self {
+        let pixels = |um: f64| um * 1e3 / layer.pixel_pitch_nm;
+        let step = [pixels(height) / rows.max(1) as f64, pixels(width) / columns.max(1) as f64];
+        Self { corner: [pixels(top), pixels(left)], step }
+    }
+
+    /// Rows and columns of the layer that one pixel of the picture shows; empty beside the layer.
+    fn sources(&self, layer: &Layer, row: usize, column: usize) -> ((usize, usize), (usize, usize)) {
+        let [y, x] = [(0, row), (1, column)]
+            .map(|(axis, place)| self.corner[axis] + (place as f64 + 0.5) * self.step[axis]);
+        let Some(middle) = layer.pixel(y, x) else { return ((0, 0), (0, 0)) };
+        let (rows, columns) = layer.pixels.size();
+        let around = |middle: usize, step: f64, limit: usize| {
+            let side = (step as usize).clamp(1, MOST_MEAN);
+            let begin = middle.saturating_sub((side - 1) / 2);
+            (begin, (begin + side).min(limit))
+        };
+        (around(middle.0, self.step[0], rows), around(middle.1, self.step[1], columns))
     }
 }
 
@@ -224,12 +263,13 @@ fn opaque([red, green, blue]: Rgb) -> Color32 {
 mod tests {
     use super::*;
     use crate::display::{Colormap, render as render_whole};
+    use crate::reconstruction::PixelMap;
     use ndarray::Array2;
     use std::sync::Arc;
 
     fn layer(image: Array2<f32>, paint: Paint) -> Layer {
         let pixels = Pixels::Values(Arc::new(image));
-        Layer { name: "image".to_owned(), pixels, pixel_pitch_nm: 1000.0, paint }
+        Layer { name: "image".to_owned(), pixels, pixel_pitch_nm: 1000.0, paint, warp: None }
     }
 
     fn request(layers: Vec<Layer>, part_um: [f64; 4], size: [usize; 2]) -> Request {
@@ -263,6 +303,28 @@ mod tests {
         assert_eq!(part.image[(0, 0)], Color32::from_rgb(255, 255, 255));
         assert_eq!(part.image[(1, 1)], part.image[(0, 0)]);
         assert_eq!(part.image[(2, 0)], Color32::from_rgb(0, 0, 0));
+    }
+
+    #[test]
+    fn a_mapped_layer_is_drawn_where_the_map_says() {
+        let mut seen_by_r = Array2::zeros((6, 8));
+        seen_by_r[[2, 5]] = 20.0;
+        // T is mirrored and sees everything one row lower: (2, 5) of R is (3, 2) of T.
+        let mut seen_by_t = Array2::zeros((6, 8));
+        seen_by_t[[3, 2]] = 20.0;
+        let map = PixelMap { matrix: [[1.0, 0.0], [0.0, -1.0]], shift: [1.0, 7.0] };
+        let t = Layer { warp: Some(map), ..layer(seen_by_t, Paint::Color([255, 0, 255])) };
+        assert_eq!(t.at([5.5, 2.5]), Some((2, 3, 20.0)));
+        assert_eq!(t.at([5.5, 5.5]), None, "that row of T is beyond its sensor");
+        let layers = vec![layer(seen_by_r, Paint::Color([0, 255, 0])), t.clone()];
+        let both = render(&request(layers, [0.0, 0.0, 8.0, 6.0], [16, 12]));
+        for (x, y) in [(10, 4), (11, 5)] {
+            assert_eq!(both.image[(x, y)], Color32::WHITE, "both at the same place");
+        }
+        let alone = render(&request(vec![t], [0.0, 0.0, 8.0, 6.0], [8, 6]));
+        assert_eq!(alone.image[(5, 5)], Color32::from_gray(18), "nothing is made up beside the sensor");
+        let bright = alone.image.pixels.iter().filter(|pixel| **pixel == Color32::from_rgb(255, 0, 255));
+        assert_eq!(bright.count(), 1);
     }
 
     #[test]

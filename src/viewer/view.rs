@@ -60,6 +60,8 @@ pub struct View {
     pub colormap: Colormap,
     /// Part of the pane that shows the mean image instead; none for no split.
     pub split: Option<f64>,
+    /// Whether camera T is brought onto camera R where both are shown on each other.
+    pub applies_registration: bool,
     /// Whether saturated pixels are marked, judged on raw counts.
     pub marks_saturation: bool,
 }
@@ -76,6 +78,7 @@ impl Default for View {
             ],
             colormap: Colormap::Viridis,
             split: None,
+            applies_registration: true,
             marks_saturation: true,
         }
     }
@@ -90,6 +93,12 @@ impl View {
             Subject::One(..) => 1,
             Subject::Composite(_) => 2,
         }
+    }
+
+    /// Whether the subject is a result, which can be compared with the mean image.
+    #[must_use]
+    pub fn shows_result(&self) -> bool {
+        matches!(self.subject, Subject::One(..) | Subject::Composite(_))
     }
 
     /// The contrast of the subject.

@@ -3,14 +3,18 @@
 //! In: a [`Bench`]. Out: what is drawn. Never: waits, owns state that matters. Fails: not at all.
 
 mod choice;
+mod gesture;
 mod keys;
+mod obey;
 
+use gesture::Gestures;
 pub use keys::SHORTCUTS;
 
-use super::bench::{Activity, Bench, BenchCommand, BenchStatus, Gravity, Pictures};
+use super::bench::{Activity, Bench, BenchStatus, Gravity, Pictures};
 use super::canvas::{Canvas, Done};
-use super::panels::{self, LiveForm, Own, PlanForm, ReplayForm, StageForm, Wishes};
+use super::panels::{self, Forms, Wishes};
 use super::plane::layers;
+use super::presets::Presets;
 use super::settings::{Below, Side, WindowSettings};
 use super::view::{History, Subject, View};
 use crate::display::Limits;
@@ -22,6 +26,9 @@ const LOOKS: [Duration; 2] = [Duration::from_millis(33), Duration::from_millis(2
 /// Drawing takes at most a third of a core: the window waits so many times as long as a look has taken.
 const REST: f64 = 2.0;
 
+/// Size of the smallest writing, points.
+const SMALL: f32 = 11.0;
+
 /// The window.
 pub struct Window {
     bench: Box<dyn Bench>,
@@ -29,10 +36,9 @@ pub struct Window {
     history: History,
     result: Canvas,
     cameras: [Canvas; 2],
-    live: LiveForm,
-    plan: PlanForm,
-    replay: ReplayForm,
-    stage: StageForm,
+    forms: Forms,
+    presets: Presets,
+    gestures: Gestures,
     line_um: Option<[[f64; 2]; 2]>,
     escaped: Option<f64>,
     shows_shortcuts: bool,
@@ -54,10 +60,9 @@ impl Window {
             history: History::default(),
             result: Canvas::new("result"),
             cameras: [Canvas::new("camera R image"), Canvas::new("camera T image")],
-            live: LiveForm::default(),
-            plan: PlanForm::default(),
-            replay: ReplayForm::default(),
-            stage: StageForm::default(),
+            forms: Forms::default(),
+            presets: Presets::default(),
+            gestures: Gestures::default(),
             line_um: None,
             escaped: None,
             shows_shortcuts: false,
@@ -65,6 +70,19 @@ impl Window {
             took: Duration::ZERO,
             pace: LOOKS[0],
         }
+    }
+
+    /// The same with presets of earlier times.
+    #[must_use]
+    pub fn with_presets(mut self, presets: Presets) -> Self {
+        self.presets = presets;
+        self
+    }
+
+    /// Presets, to be stored for the next time.
+    #[must_use]
+    pub fn presets(&self) -> &Presets {
+        &self.presets
     }
 
     /// What is to be stored for the next time.
@@ -101,16 +119,17 @@ impl Window {
         let begun = Instant::now();
         let (status, pictures) = (self.bench.status(), self.bench.pictures());
         self.appear(ui);
+        ui.input(|input| self.gestures.look(input));
         let mut wishes = Wishes::default();
         self.keys(ui, &status, &mut wishes);
         Panel::top("top").show(ui, |ui| {
             let can = self.history.can();
             let (undo, redo) = panels::top(ui, &status, &mut self.settings, can, &mut wishes);
             if undo {
-                self.history.undo();
+                self.undo();
             }
             if redo {
-                self.history.redo();
+                self.redo();
             }
             self.tell_trouble(ui, &status);
         });
@@ -122,13 +141,19 @@ impl Window {
         if is_showing {
             self.side(ui, &status, &mut wishes);
             self.below(ui, &status, &pictures);
-            CentralPanel::default().show(ui, |ui| done = self.images(ui, &status, &pictures));
+            if let Some(replay) = &status.replay {
+                let form = &mut self.forms.transport;
+                Panel::bottom("transport")
+                    .resizable(false)
+                    .show(ui, |ui| panels::transport(ui, &status, replay, form, &mut wishes));
+            }
+            CentralPanel::default().show(ui, |ui| done = self.images(ui, &status, &pictures, &mut wishes));
         } else {
             CentralPanel::default()
                 .show(ui, |ui| panels::start(ui, &status, &mut self.settings, &mut wishes));
         }
-        self.take_up(done, &status, &pictures);
-        self.obey(wishes, &status);
+        self.take_up(ui, done, &status, &pictures);
+        self.obey(ui, wishes, &status, &pictures);
         self.list_shortcuts(ui);
         let goes_on = !matches!(status.activity, Activity::Closed | Activity::Idle);
         ui.ctx().request_repaint_after(if goes_on { self.pace } else { LOOKS[1] });
@@ -146,6 +171,12 @@ impl Window {
         let theme = if self.settings.is_dark { egui::Theme::Dark } else { egui::Theme::Light };
         if ui.ctx().theme() != theme {
             ui.ctx().set_theme(theme);
+        }
+        let readable = egui::FontId::proportional(SMALL);
+        if ui.style().text_styles.get(&egui::TextStyle::Small) != Some(&readable) {
+            ui.ctx().all_styles_mut(|style| {
+                style.text_styles.insert(egui::TextStyle::Small, readable.clone());
+            });
         }
         if (ui.ctx().zoom_factor() - self.settings.scale).abs() > 1e-3 {
             ui.ctx().set_zoom_factor(self.settings.scale);
@@ -170,18 +201,17 @@ impl Window {
                 }
             });
             ui.separator();
+            panels::run(ui, status, wishes);
             ScrollArea::vertical().id_salt("side").auto_shrink([false, false]).show(ui, |ui| {
                 let Some(card) = status.instrument.as_deref() else {
-                    return panels::replay(ui, status, &mut self.replay, wishes);
+                    return panels::replay(ui, status, &mut self.forms.replay, wishes);
                 };
+                let forms = &mut self.forms;
                 match self.settings.side {
-                    Side::Live => panels::live(ui, status, card, &mut self.live, wishes),
-                    Side::Plan => panels::plan(ui, status, card, &mut self.plan, wishes),
-                    Side::Devices => {
-                        let settings = &mut self.live.settings;
-                        panels::instrument(ui, status, card, &mut self.stage, settings, wishes);
-                    }
-                    Side::Replay => panels::replay(ui, status, &mut self.replay, wishes),
+                    Side::Live => panels::live(ui, status, card, forms, &self.presets, wishes),
+                    Side::Plan => panels::plan(ui, status, card, &mut forms.plan, wishes),
+                    Side::Devices => panels::instrument(ui, status, card, forms, wishes),
+                    Side::Replay => panels::replay(ui, status, &mut forms.replay, wishes),
                 }
             });
         });
@@ -193,6 +223,7 @@ impl Window {
             (Some(line), Below::Profile) => panels::profile(&layers(pictures, &view), line),
             _ => Vec::new(),
         };
+        let mut contrast = None;
         Panel::bottom("below").resizable(true).default_size(220.0).min_size(120.0).show(ui, |ui| {
             ui.horizontal(|ui| {
                 for (below, name) in Below::ALL {
@@ -201,14 +232,26 @@ impl Window {
             });
             let limits: Vec<Limits> =
                 self.cameras.iter().flat_map(|camera| camera.limits().first().copied()).collect();
-            panels::below(ui, self.settings.below, status, pictures, &limits, &lines);
+            let shown = panels::Shown { status, pictures, limits: &limits, line: &lines };
+            contrast = panels::below(ui, self.settings.below, &shown, view.contrasts[0]);
             ui.take_available_height();
         });
+        if let Some(contrast) = contrast {
+            let mut view = self.history.view();
+            view.contrasts[0] = contrast;
+            self.change(ui, view);
+        }
     }
 
-    fn images(&mut self, ui: &mut Ui, status: &BenchStatus, pictures: &Pictures) -> Done {
+    fn images(
+        &mut self,
+        ui: &mut Ui,
+        status: &BenchStatus,
+        pictures: &Pictures,
+        wishes: &mut Wishes,
+    ) -> Done {
         let mut view = self.history.view();
-        self.choose(ui, pictures, &mut view);
+        self.choose(ui, pictures, &mut view, wishes);
         let waiting = waiting(status);
         let mut done = Done::default();
         let share = if self.settings.shows_cameras { 0.30 } else { 0.0 };
@@ -232,87 +275,26 @@ impl Window {
             let one = self.result.ui(ui, pictures, &view, waiting);
             merge(&mut done, one);
         });
-        self.history.set(
-            view,
-            view.split != self.history.view().split
-                && view.split.is_some()
-                && self.history.view().split.is_some(),
-        );
+        self.change(ui, view);
         done
     }
 
-    /// What the person did in the panes.
-    fn take_up(&mut self, done: Done, status: &BenchStatus, pictures: &Pictures) {
-        let view = self.history.view();
-        if let Some((zoom, is_going_on)) = done.zoom {
-            self.history.set(View { zoom, ..view }, is_going_on);
-        }
-        if let Some(split) = done.split {
-            self.history.set(View { split: Some(split), ..self.history.view() }, true);
-        }
-        if let Some(line) = done.line_um {
-            self.line_um = Some(line);
-            self.settings.below = Below::Profile;
-        }
-        let pitch_um = pictures.cameras.as_ref().map(|look| look.pixel_pitch_nm / 1e3);
-        if let (Some(rectangle), Some(pitch_um)) = (done.rectangle_um, pitch_um) {
-            let [left, top, width, height] = rectangle.map(|um| (um / pitch_um).max(0.0).round() as u32);
-            let offset = self.live.settings.region.unwrap_or_default();
-            if width > 3 && height > 3 && status.activity != Activity::Run {
-                self.live.settings.region = Some([offset[0] + left, offset[1] + top, width, height]);
-            }
-        }
-        if let (Some(center), Some(stage), Some(look), Some(pitch_um)) =
-            (done.center_um, status.stage, &pictures.cameras, pitch_um)
-        {
-            let middle = [look.width, look.height].map(|pixels| 0.5 * pixels as f64 * pitch_um);
-            let command = BenchCommand::MoveStage {
-                x_um: stage.x_um + center[0] - middle[0],
-                y_um: stage.y_um + center[1] - middle[1],
-            };
-            self.ask(command);
-        }
-        if let Some(reading) = done.reading {
-            self.refused = Some((reading, Instant::now()));
-        } else if self.refused.as_ref().is_some_and(|(text, _)| text.starts_with("x ")) {
-            self.refused = None;
+    /// Another view; what changes within one gesture is undone together.
+    fn change(&mut self, ui: &Ui, view: View) {
+        if view != self.history.view() {
+            let goes_on = ui.input(|input| self.gestures.goes_on(input));
+            self.history.set(view, goes_on);
         }
     }
 
-    fn obey(&mut self, wishes: Wishes, status: &BenchStatus) {
-        if wishes.stop {
-            self.bench.stop();
-        }
-        for command in wishes.commands {
-            self.ask(command);
-        }
-        for own in wishes.own {
-            self.obey_own(own, status);
-        }
+    fn undo(&mut self) {
+        self.gestures.end();
+        self.history.undo();
     }
 
-    fn obey_own(&mut self, own: Own, status: &BenchStatus) {
-        match own {
-            Own::JudgePlan => {
-                let judgment = self.bench.judge_plan(&self.plan.text);
-                self.plan.judged = Some((self.plan.text.clone(), judgment));
-            }
-            Own::Save if status.instrument.is_some() => {
-                self.ask(BenchCommand::SaveResults(panels::suggested("sofiscope-images").into()));
-            }
-            Own::Save => {}
-            Own::ResetLayout => {
-                let is_dark = self.settings.is_dark;
-                self.settings = WindowSettings { is_dark, ..WindowSettings::default() };
-            }
-            Own::Shortcuts => self.shows_shortcuts = true,
-        }
-    }
-
-    fn ask(&mut self, command: BenchCommand) {
-        if let Err(refused) = self.bench.ask(command) {
-            self.refused = Some((refused.to_string(), Instant::now()));
-        }
+    fn redo(&mut self) {
+        self.gestures.end();
+        self.history.redo();
     }
 }
 

@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use sofiscope_hal::{
     Camera, CameraCapabilities, CameraIdentity, CameraSettings, DeviceError, ErrorKind, FrameStream,
+    Properties,
 };
 
 use crate::api::{Dcam, Device};
@@ -131,6 +132,10 @@ impl Camera for DcamCamera {
         let stopped = capture.stop();
         self.finished = Some(capture);
         stopped
+    }
+
+    fn browse(&mut self) -> Option<&mut dyn Properties> {
+        Some(self)
     }
 }
 

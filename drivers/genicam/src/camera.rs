@@ -281,6 +281,10 @@ impl Camera for GenicamCamera {
         self.mark_stopped();
         stopped?.map_err(|cause| self.told("stopping exposures", &cause))
     }
+
+    fn browse(&mut self) -> Option<&mut dyn Properties> {
+        Some(self)
+    }
 }
 
 impl Properties for GenicamCamera {

@@ -5,7 +5,7 @@
 //! The contracts fit GenICam (`Width`, `ExposureTime`, `TriggerMode`, block ids) and DCAM
 //! (`SUBARRAY`, `EXPOSURETIME`, `TRIGGERSOURCE`, frame stamps) alike.
 
-use crate::{BlockId, DeviceError, DeviceTime, Epoch, ExposureIndex};
+use crate::{BlockId, DeviceError, DeviceTime, Epoch, ExposureIndex, Properties};
 use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
 use std::time::Duration;
@@ -143,6 +143,12 @@ pub trait Camera: Send {
     /// # Errors
     /// Whatever the camera says; it is then in an unknown state.
     fn stop(&mut self) -> Result<(), DeviceError>;
+
+    /// Everything of the camera that a person may look at or change beside what a run sets; none where there is
+    /// nothing.
+    fn browse(&mut self) -> Option<&mut dyn Properties> {
+        None
+    }
 }
 
 /// The frames of one armed camera.

@@ -499,6 +499,35 @@ fn in_real_time_a_frame_comes_when_its_exposure_is_over() {
 }
 
 #[test]
+fn a_trigger_that_is_held_goes_on_with_the_next_exposure_and_ends_with_the_cameras() {
+    let (instrument, clock) = real_time(16, 1.0);
+    let [mut camera, _] = instrument.cameras();
+    let mut stream = armed(&mut camera, TriggerMode::External);
+    let mut trigger = instrument.trigger();
+    trigger.start(PERIOD, Some(10)).unwrap();
+    let mut counts = vec![0; FULL.num_pixels()];
+    let mut next = |timeout| stream.next_frame(&mut counts, timeout).map(|info| info.exposure.0);
+    // Begins of 0, 1 and 2; the third is finished although the trigger is held.
+    clock.advance(5 * PERIOD / 2);
+    trigger.stop().unwrap();
+    assert_eq!([next(Duration::ZERO).unwrap(), next(Duration::ZERO).unwrap()], [0, 1]);
+    assert_eq!(next(PERIOD).unwrap(), 2);
+    clock.advance(100 * PERIOD);
+    assert_eq!(next(PERIOD).unwrap_err().kind(), ErrorKind::Timeout, "held, and not ended");
+    trigger.start(PERIOD, Some(2)).unwrap();
+    assert_eq!([next(PERIOD).unwrap(), next(PERIOD).unwrap()], [3, 4]);
+    assert_eq!(next(PERIOD).unwrap_err().kind(), ErrorKind::Ended, "all pulses were given");
+    camera.stop().unwrap();
+    // Another arming begins anew, whatever was held before.
+    let mut stream = armed(&mut camera, TriggerMode::External);
+    trigger.start(PERIOD, None).unwrap();
+    assert_eq!(stream.next_frame(&mut counts, 2 * PERIOD).unwrap().exposure.0, 0);
+    trigger.stop().unwrap();
+    camera.stop().unwrap();
+    assert_eq!(stream.next_frame(&mut counts, 2 * PERIOD).unwrap_err().kind(), ErrorKind::Ended);
+}
+
+#[test]
 fn in_real_time_a_slow_reader_loses_the_oldest_frames_and_the_oracle_knows() {
     let (instrument, clock) = real_time(4, 1.0);
     let [mut camera, _] = instrument.cameras();

@@ -11,7 +11,7 @@ use super::super::AppError;
 use super::cameras;
 use crate::config::{FocusEntry, VirtualEntry};
 use crate::control::contracts::FocusHold;
-use crate::control::focus_lock::{FocusCommand, FocusError, FocusLoop, ServoSettings};
+use crate::control::focus_lock::{FocusCommand, FocusError, FocusLoop, FocusRemote, ServoSettings};
 
 /// Rate of the sensor: 100 readings per second.
 const PERIOD: Duration = Duration::from_millis(10);
@@ -19,7 +19,7 @@ const EXPOSURE: Duration = Duration::from_millis(5);
 /// Expected width of the reflected spot, pixels.
 const SPOT_SIGMA_PX: f64 = 4.0;
 /// Half of the calibration sweep, nanometers.
-const SWEEP_NM: f64 = 2000.0;
+pub(in crate::app) const FOCUS_SWEEP_NM: f64 = 2000.0;
 /// A calibration of 41 places takes ten seconds, a search three.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Time between two looks at the loop.
@@ -84,6 +84,11 @@ impl Focus {
         self.focus.error()
     }
 
+    /// For whoever asks and looks beside the sequencer.
+    pub(super) fn remote(&self) -> FocusRemote {
+        self.focus.remote()
+    }
+
     /// Asks for something and waits until `is_done` with the answer, or with the reason why not.
     fn wait(
         &self,
@@ -116,7 +121,7 @@ impl FocusHold for Focus {
             return Ok(());
         }
         if self.focus.status().calibration.is_none() {
-            let half = Nanometers::new(SWEEP_NM).unwrap_or_default();
+            let half = Nanometers::new(FOCUS_SWEEP_NM).unwrap_or_default();
             self.wait(FocusCommand::Calibrate(half), |status| status.calibration.map(|_| Ok(())))?;
         }
         self.wait(FocusCommand::Lock, |status| match status.state.as_str() {

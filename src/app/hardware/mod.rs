@@ -12,6 +12,7 @@ mod lights;
 mod open;
 mod stage_thread;
 
+pub(super) use focus::FOCUS_SWEEP_NM;
 pub(super) use guarded::{GuardArguments, Guarded, run as run_guard};
 pub(super) use open::{Opened, home, open, watch_lights};
 pub(super) use stage_thread::StageHandle;

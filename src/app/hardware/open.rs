@@ -16,6 +16,7 @@ use super::stage_thread::StageHandle;
 use crate::acquisition::FocusGauge;
 use crate::config::{Instrument, StageEntry, StageLink, TriggerKind};
 use crate::control::contracts::{FocusHold, Illumination, NoLasers, StageDrive};
+use crate::control::focus_lock::FocusRemote;
 use crate::control::sequencer::{CameraStation, Devices};
 
 /// The stage is never faster than this, millimeters per second.
@@ -37,6 +38,8 @@ pub(in crate::app) struct Opened {
     pub(in crate::app) stage: Option<StageHandle>,
     /// What lasers and gates say of themselves, if there are any.
     pub(in crate::app) lights: Option<Guarded>,
+    /// The focus lock, for whoever asks and looks beside the sequencer.
+    pub(in crate::app) focus: Option<FocusRemote>,
     /// What people must know.
     pub(in crate::app) warnings: Vec<String>,
 }
@@ -106,14 +109,15 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
         Some(guard) => Box::new(guard),
         None => Box::new(NoLasers),
     };
-    let (focus, focus_gauge) = match &hardware.focus {
-        None => (None, FocusGauge::default()),
+    let (focus, focus_gauge, remote) = match &hardware.focus {
+        None => (None, FocusGauge::default(), None),
         Some(entry) => {
             let focus = super::focus::open(entry, hardware.virtual_devices.as_ref())?;
             identities.push("focus lock: Nano-Drive and spot camera".to_owned());
             let error = focus.error();
             let gauge = FocusGauge::new(move || error.now_nm());
-            (Some(Box::new(focus) as Box<dyn FocusHold>), gauge)
+            let remote = focus.remote();
+            (Some(Box::new(focus) as Box<dyn FocusHold>), gauge, Some(remote))
         }
     };
     let drive = stage.clone().map(|stage| Box::new(stage) as Box<dyn StageDrive>);
@@ -121,7 +125,7 @@ pub(in crate::app) fn open(instrument: &Instrument, text: &str) -> Result<Opened
     rig.devices = rig.devices.with_focus(focus);
     rig.facts.focus = focus_gauge;
     let is_virtual = hardware.virtual_devices.is_some();
-    Ok(Opened { rig, is_virtual, identities, stage, lights, warnings })
+    Ok(Opened { rig, is_virtual, identities, stage, lights, focus: remote, warnings })
 }
 
 /// Lets the stage find its end switches; whoever asks for it has retracted the objective.

@@ -4,18 +4,24 @@
 //! Never: waits. Fails: [`Refused`] when the session is busy with too many earlier commands.
 
 use super::recent;
-use super::session::{Asked, Session, judge};
+use super::save::keep_picture;
+use super::session::{Asked, Session, judge, speed_of};
 use super::shared::Shared;
 use crate::app::AppError;
+use crate::app::hardware::FOCUS_SWEEP_NM;
 use crate::app::run::free_name;
 use crate::app::session::COMMANDS;
+use crate::control::focus_lock::FocusCommand;
 use crate::control::plan::StagePosition;
 use crate::control::preflight::{Outcome, may_begin, preflight};
 use crate::control::sequencer::Command;
+use crate::viewer::AsSeen;
 use crate::viewer::bench::{
-    Activity, Bench, BenchCommand, BenchStatus, Gravity, Pictures, PlanEstimate, Refused,
+    Activity, Bench, BenchCommand, BenchStatus, FocusAsk, Gravity, Pictures, PlanEstimate, Refused,
+    ReplayStatus,
 };
 use crossbeam_channel::{Sender, TrySendError, bounded};
+use sofiscope_hal::Nanometers;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
@@ -109,7 +115,28 @@ impl Bench for LocalBench {
                 self.move_stage(x_um, y_um);
                 Ok(())
             }
-            BenchCommand::SaveResults(directory) if *activity == Activity::Live => {
+            BenchCommand::ReplaySpeed(times) => {
+                if let Some(replay) = self.shared.replay.load_full() {
+                    replay.control.set_speed(speed_of(times));
+                }
+                Ok(())
+            }
+            BenchCommand::Seek(exposure) => self.seek(exposure),
+            BenchCommand::Focus(asked) => {
+                self.ask_focus(asked, &activity);
+                Ok(())
+            }
+            BenchCommand::SetProperty { device, property, .. } if *activity != Activity::Idle => {
+                self.shared.tell(
+                    Gravity::Warning,
+                    format!(
+                        "{device}: '{property}' is changed only while the cameras rest; finish what is under way (F), \
+                         then change it"
+                    ),
+                );
+                Ok(())
+            }
+            BenchCommand::SaveResults(directory) if is_looking => {
                 self.save_shown(&directory);
                 Ok(())
             }
@@ -123,6 +150,21 @@ impl Bench for LocalBench {
                     self.to_run(Command::Stop)?;
                 }
                 self.to_session(other)
+            }
+        }
+    }
+
+    fn keep_picture(&self, picture: AsSeen) -> Result<(), Refused> {
+        let shared = Arc::clone(&self.shared);
+        let keep = move || match keep_picture(&picture, shared.shows_simulated()) {
+            Ok(()) => shared.tell(Gravity::Note, format!("saved: {}", picture.path.display())),
+            Err(error) => shared.tell(Gravity::Error, error.to_string()),
+        };
+        match crate::pipeline::spawn("picture", keep) {
+            Ok(_) => Ok(()),
+            Err(error) => {
+                self.shared.tell(Gravity::Error, format!("no thread to save the picture: {error}"));
+                Err(Refused)
             }
         }
     }
@@ -149,6 +191,42 @@ impl Bench for LocalBench {
 }
 
 impl LocalBench {
+    /// What is played ends, and begins again with another exposure.
+    fn seek(&self, exposure: u64) -> Result<(), Refused> {
+        let Some(replay) = self.shared.replay.load_full() else {
+            self.shared.tell(Gravity::Warning, "nothing is played; begin a replay first");
+            return Ok(());
+        };
+        let (exposures, _) = replay.control.extent();
+        let from = exposure.min(exposures.saturating_sub(1));
+        let ReplayStatus { recording, speed, .. } = replay.status(0);
+        self.to_run(Command::Stop)?;
+        self.to_session(BenchCommand::Replay { recording, speed, from })
+    }
+
+    fn ask_focus(&self, asked: FocusAsk, activity: &Activity) {
+        let Some(focus) = self.shared.focus_remote.load_full() else {
+            return self.shared.tell(Gravity::Warning, "this instrument has no focus lock");
+        };
+        let is_run = matches!(activity, Activity::Run | Activity::Paused | Activity::Ending);
+        if is_run && asked != FocusAsk::Lock {
+            return self.shared.tell(
+                Gravity::Warning,
+                "the focus lock belongs to the run under way; finish it first, or let the lock hold again",
+            );
+        }
+        let nanometers = |value: f64| Nanometers::new(value).unwrap_or_default();
+        let command = match asked {
+            FocusAsk::Lock => FocusCommand::Lock,
+            FocusAsk::Release => FocusCommand::Release,
+            FocusAsk::Calibrate => FocusCommand::Calibrate(nanometers(FOCUS_SWEEP_NM)),
+            FocusAsk::MoveBy(step) => FocusCommand::MoveTo(nanometers(focus.status().z_nm + step)),
+        };
+        if let Err(error) = focus.ask(command) {
+            self.shared.tell(Gravity::Error, error.to_string());
+        }
+    }
+
     fn save_shown(&self, directory: &std::path::Path) {
         let (shared, directory) = (Arc::clone(&self.shared), directory.to_owned());
         let save = move || shared.save_shown(&directory);

@@ -19,6 +19,10 @@ const PLANS: [(&str, &str); 3] = [
     ("two places, lasers and focus lock", include_str!("../../../config/plans/three-color.yaml")),
 ];
 
+/// What is known of every camera when it is opened.
+pub(super) const KNOWN_OF_CAMERAS: [&str; 5] =
+    ["firmware", "sensor width", "sensor height", "shortest period", "saturation"];
+
 /// Longest exposure where the instrument sets no limit.
 const LONGEST_EXPOSURE: Duration = Duration::from_secs(10);
 
@@ -41,11 +45,15 @@ pub(super) fn card(instrument: &Instrument, open: &About) -> InstrumentCard {
             identity: format!("{} {}, S/N {}", camera.vendor, camera.model, camera.serial),
             is_simulated: camera.simulated,
             properties: vec![
-                reading("firmware", camera.firmware.clone(), ""),
-                reading("sensor width", width.to_string(), "px"),
-                reading("sensor height", height.to_string(), "px"),
-                reading("shortest period", format!("{shortest:.3}"), "ms"),
-                reading("saturation", open.facts.saturation_counts[channel.index()].to_string(), "counts"),
+                reading(KNOWN_OF_CAMERAS[0], camera.firmware.clone(), ""),
+                reading(KNOWN_OF_CAMERAS[1], width.to_string(), "px"),
+                reading(KNOWN_OF_CAMERAS[2], height.to_string(), "px"),
+                reading(KNOWN_OF_CAMERAS[3], format!("{shortest:.3}"), "ms"),
+                reading(
+                    KNOWN_OF_CAMERAS[4],
+                    open.facts.saturation_counts[channel.index()].to_string(),
+                    "counts",
+                ),
             ],
         }
     });
@@ -88,7 +96,8 @@ pub(super) fn card(instrument: &Instrument, open: &About) -> InstrumentCard {
     }
 }
 
-fn row(property: &Property) -> PropertyRow {
+/// A property as the browser shows it.
+pub(super) fn row(property: &Property) -> PropertyRow {
     let value = match &property.value {
         PropertyValue::Flag(flag) => flag.to_string(),
         PropertyValue::Whole(number) => number.to_string(),
@@ -100,11 +109,17 @@ fn row(property: &Property) -> PropertyRow {
         PropertyRange::Between { least, greatest } => format!("{least} to {greatest}"),
         PropertyRange::Choice(choices) => choices.join(", "),
     };
+    let choices = match (&property.range, &property.value) {
+        (PropertyRange::Choice(choices), _) => choices.clone(),
+        (_, PropertyValue::Flag(_)) => ["false", "true"].map(str::to_owned).to_vec(),
+        _ => Vec::new(),
+    };
     PropertyRow {
         name: property.name.clone(),
         value,
         unit: property.unit.clone(),
         range,
+        choices,
         is_writable: property.writable,
     }
 }

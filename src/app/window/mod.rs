@@ -23,13 +23,15 @@ mod tests;
 use super::AppError;
 use super::data_path::yield_to_others;
 use crate::viewer::bench::{Activity, Bench, BenchCommand};
-use crate::viewer::{Window, WindowSettings};
+use crate::viewer::{Presets, Window, WindowSettings};
 use bench::LocalBench;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// Where the window keeps how it is arranged.
 const STORED: &str = "window";
+/// Where it keeps presets.
+const STORED_PRESETS: &str = "presets";
 /// A window that is closed waits this long for its run to end.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// A second wish to close within this time is meant.
@@ -82,9 +84,11 @@ pub(super) fn run(arguments: &LiveArguments) -> Result<(), AppError> {
             yield_to_others();
             let settings = context.storage.and_then(|storage| eframe::get_value(storage, STORED));
             let settings: WindowSettings = settings.unwrap_or_default();
+            let presets = context.storage.and_then(|storage| eframe::get_value(storage, STORED_PRESETS));
+            let presets: Presets = presets.unwrap_or_default();
             let bench = shown.another();
             Ok(Box::new(App {
-                window: Window::new(Box::new(shown), settings),
+                window: Window::new(Box::new(shown), settings).with_presets(presets),
                 bench,
                 begun,
                 times: Times::default(),
@@ -185,6 +189,7 @@ impl eframe::App for App {
 
     fn save(&mut self, storage: &mut dyn eframe::Storage) {
         eframe::set_value(storage, STORED, self.window.settings());
+        eframe::set_value(storage, STORED_PRESETS, self.window.presets());
     }
 
     fn on_exit(&mut self, _context: Option<&eframe::glow::Context>) {

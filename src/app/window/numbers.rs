@@ -61,7 +61,12 @@ impl Counter {
             exposures: done,
             planned,
             received: path.progress.received,
-            lost: path.progress.lost.iter().map(|(reason, frames)| (reason.to_string(), *frames)).collect(),
+            lost: path
+                .progress
+                .lost
+                .iter()
+                .map(|(reason, frames)| (reason.in_words().to_owned(), *frames))
+                .collect(),
             pairs: path.progress.pairs,
             pairs_analyzed: path.progress.pairs_analyzed,
             left_out: path.progress.analysis_left_out,

@@ -8,6 +8,9 @@ use crate::app::results::overlay;
 use crate::display::PngNotes;
 use crate::files::{OutputDirectory, ResultHeader, write_result};
 use crate::reconstruction::{SofiLook, SofiStage};
+use crate::viewer::AsSeen;
+use crate::viewer::as_seen::draw;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Writes every step that there are images of.
@@ -52,6 +55,20 @@ pub(super) fn save_look(look: &SofiLook, simulated: bool, directory: &Path) -> R
     Ok(out.commit()?)
 }
 
+/// Draws a pane as it is seen and writes it into a file that must not exist yet.
+///
+/// # Errors
+/// [`AppError`]: a file that is there already, a full disk, a pane without pixels.
+pub(super) fn keep_picture(picture: &AsSeen, simulated: bool) -> Result<(), AppError> {
+    let failed =
+        |error: &dyn std::fmt::Display| AppError::Data(format!("{}: {error}", picture.path.display()));
+    let (image, notes) = draw(picture, simulated).map_err(AppError::data)?;
+    let bytes = image.to_png(&notes).map_err(AppError::data)?;
+    let file = std::fs::OpenOptions::new().write(true).create_new(true).open(&picture.path);
+    let mut file = file.map_err(|error| failed(&error))?;
+    file.write_all(&bytes).and_then(|()| file.sync_all()).map_err(|error| failed(&error))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -59,6 +76,39 @@ mod tests {
     use crate::reconstruction::StageImage;
     use ndarray::Array2;
     use std::sync::Arc;
+
+    #[test]
+    fn a_pane_is_written_once_and_says_that_it_is_simulated() {
+        use crate::display::{Colormap, Contrast};
+        use crate::viewer::plane::{Layer, Paint, Pixels};
+        let layer = Layer {
+            name: "camera R".to_owned(),
+            pixels: Pixels::Counts { counts: Arc::new(vec![7; 64 * 48]), width: 64, saturation: None },
+            pixel_pitch_nm: 100.0,
+            paint: Paint::Map(Colormap::Gray),
+            warp: None,
+        };
+        let request = crate::viewer::renderer::Request {
+            key: 1,
+            layers: vec![layer],
+            split: None,
+            contrast: Contrast::default(),
+            part_um: [0.0, 0.0, 6.4, 4.8],
+            size: [400, 300],
+            pace: std::time::Duration::ZERO,
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("picture.png");
+        let picture = AsSeen { request, label: "exposure 7".to_owned(), path: path.clone() };
+        keep_picture(&picture, true).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        let reader = png::Decoder::new(std::io::Cursor::new(&bytes)).read_info().unwrap();
+        assert_eq!((reader.info().width, reader.info().height), (800, 600));
+        let title = bytes.windows(20).any(|part| part == b"SIMULATED: exposure ");
+        assert!(title, "the title says what it is");
+        assert!(keep_picture(&picture, true).is_err());
+        assert_eq!(std::fs::read(&path).unwrap(), bytes, "nothing is written over");
+    }
 
     #[test]
     fn what_is_shown_is_what_is_written() {

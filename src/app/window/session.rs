@@ -4,6 +4,11 @@
 //! In: [`Asked`] commands. Out: newest values in [`Shared`]. Never: draws, begins what was asked before a STOP.
 //! Fails: not at all; what cannot be done is an event that says why and what to do.
 
+mod properties;
+mod replay;
+
+pub(super) use replay::{UnderWay, speed_of};
+
 use super::board::Onlooker;
 use super::card;
 use super::numbers::{Counter, RunOutline};
@@ -13,7 +18,6 @@ use crate::app::analysis::Prepared;
 use crate::app::analysis_note::AnalysisNote;
 use crate::app::instrument::{About, MOST_BYTES, OpenInstrument, Sample};
 use crate::app::live_path::{PathOptions, SeriesResult, reason_text};
-use crate::app::replay::{Playable, ReplayRequest, playable};
 use crate::app::run::{Kept, keep, path_options};
 use crate::app::session::{Acquired, analysis_of, carry_out, write};
 use crate::app::simulated;
@@ -24,7 +28,6 @@ use crate::control::preflight::Facts;
 use crate::control::run_state::RunPhase;
 use crate::control::sequencer::{Command, Devices, Status};
 use crate::files::free_bytes;
-use crate::replay::{ReplayOptions, ReplaySpeed};
 use crate::viewer::bench::{Activity, BenchCommand, Gravity, LiveSettings, RunNumbers};
 use crossbeam_channel::Receiver;
 use sofiscope_hal::Region;
@@ -101,12 +104,15 @@ impl Session {
             BenchCommand::Run { plan, out } => self.plan(&plan, &out),
             BenchCommand::Replay { recording, speed, from } => self.replay(&recording, speed, from),
             BenchCommand::SaveResults(directory) => self.save(&directory),
-            BenchCommand::SetProperty { device, property, .. } => Err(AppError::Device(format!(
-                "{device}: {property} cannot be changed here; write it in the instrument file and open it again"
-            ))),
+            BenchCommand::SetProperty { device, property, value } => {
+                self.set_property(&device, &property, &value)
+            }
             // Those are for whatever is under way, and nothing is.
             BenchCommand::Pause
             | BenchCommand::Resume
+            | BenchCommand::ReplaySpeed(_)
+            | BenchCommand::Seek(_)
+            | BenchCommand::Focus(_)
             | BenchCommand::Finish
             | BenchCommand::MoveStage { .. } => Ok(()),
         }
@@ -117,7 +123,7 @@ impl Session {
         self.shared.stage.store(None);
         self.shared.lights.store(None);
         self.shared.lasers.store(Arc::default());
-        self.shared.watch_focus(None);
+        self.shared.watch_focus(None, None);
         self.devices = None;
         if let Some(known) = self.shared.known.swap(None) {
             self.shared.tell(Gravity::Note, format!("{} is closed", known.instrument.name()));
@@ -129,15 +135,19 @@ impl Session {
         self.shared.activity.store(Arc::new(Activity::Opening));
         let instrument = Instrument::from_toml(&text)
             .map_err(|faults| AppError::Usage(format!("{}: {faults}", path.display())))?;
-        let OpenInstrument { devices, about } =
+        let OpenInstrument { mut devices, about } =
             OpenInstrument::open(&instrument, &text, path, Sample::Again)?;
-        let card = card::card(&instrument, &about);
+        let mut card = card::card(&instrument, &about);
+        for warning in properties::read_all(&mut devices, &mut card) {
+            self.shared.tell(Gravity::Warning, warning);
+        }
         let label = card.label.map_or(String::new(), |label| format!(" ({label}: no hardware is involved)"));
         self.shared.tell(Gravity::Note, format!("{} is open{label}", card.name));
         for warning in &card.warnings {
             self.shared.tell(Gravity::Warning, warning.clone());
         }
-        self.shared.watch_focus(card.has_focus.then(|| about.facts.focus.clone()));
+        let gauge = card.has_focus.then(|| about.facts.focus.clone());
+        self.shared.watch_focus(gauge, about.focus.clone());
         self.shared.lasers.store(Arc::new(card::told_lasers(&instrument, &BTreeMap::new())));
         self.shared.stage.store(about.stage.clone().map(Arc::new));
         self.shared.lights.store(about.lights.clone().map(Arc::new));
@@ -216,33 +226,6 @@ impl Session {
         failure.map_or(Ok(()), Err)
     }
 
-    fn replay(&mut self, recording: &Path, speed: f64, from: u64) -> Result<(), AppError> {
-        let speed =
-            if speed.is_finite() && speed > 0.0 { ReplaySpeed::Times(speed) } else { ReplaySpeed::Max };
-        let request = ReplayRequest {
-            paths: &[recording.to_owned()],
-            options: ReplayOptions { speed, start: from, ..ReplayOptions::default() },
-            settings: RawAnalysis::default(),
-            as_live: true,
-        };
-        let Playable { devices, mut options, event, prepared, simulated, description } = playable(request)?;
-        self.shared.tell(Gravity::Note, format!("replay: {description}"));
-        options.preview_every = Some(Duration::from_millis(300));
-        let outline = RunOutline {
-            planned: event.exposures,
-            series: 1,
-            period: event.cameras.period,
-            ..RunOutline::default()
-        };
-        let label = if simulated { " (SIMULATED data)" } else { "" };
-        let (mut acquired, _) = self.run_with(devices, options, vec![event], outline, &Activity::Replay);
-        self.shared.tell(Gravity::Note, format!("replay{label}: {}", acquired.ended(simulated).line()));
-        if let Some(result) = acquired.results.pop() {
-            self.last_live = Some((result, prepared));
-        }
-        acquired.failure().map_or(Ok(()), Err)
-    }
-
     fn known(&self) -> Result<Arc<Known>, AppError> {
         self.shared.known.load_full().ok_or_else(nothing_open)
     }
@@ -257,6 +240,8 @@ impl Session {
         activity: &Activity,
     ) -> Result<Acquired, AppError> {
         let devices = self.devices.take().ok_or_else(nothing_open)?;
+        let label = self.shared.card.load().as_ref().and_then(|card| card.label);
+        self.shared.is_simulated.store(label.is_some(), Ordering::SeqCst);
         let has_no_guard = self.shared.lights.load().is_none();
         let tell = |lit: &BTreeMap<u32, f64>| {
             if has_no_guard {
@@ -281,10 +266,11 @@ impl Session {
         // Whatever was meant for an earlier run is not meant for this one.
         self.to_run.try_iter().for_each(drop);
         let shared = Arc::clone(&self.shared);
+        // What is under way is told first: a window without pictures and without activity shows its first screen.
+        shared.activity.store(Arc::new(activity.clone()));
         shared.board.clear();
         shared.quality.store(Arc::default());
         shared.run.store(Arc::new(RunNumbers::default()));
-        shared.activity.store(Arc::new(activity.clone()));
         // A replay does not know when its cameras were saturated but at the end of their range.
         let known = shared.known.load_full().filter(|_| *activity != Activity::Replay);
         let saturation_counts = known.map_or([u16::MAX; 2], |known| known.about.facts.saturation_counts);
@@ -306,6 +292,7 @@ impl Session {
             shared.run.store(Arc::new(counter.numbers(status, &numbers, begun.elapsed(), free)));
             let now = match (status.phase, activity) {
                 (RunPhase::Draining(_) | RunPhase::Closing(_), _) => Activity::Ending,
+                // A replay that is held stays a replay; its own status says that it is held.
                 (RunPhase::Paused, Activity::Run) => Activity::Paused,
                 (_, activity) => activity.clone(),
             };

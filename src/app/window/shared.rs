@@ -6,11 +6,12 @@
 use super::board::Board;
 use super::recent;
 use super::save::save_look;
-use super::session::Known;
+use super::session::{Known, UnderWay};
 use crate::acquisition::FocusGauge;
 use crate::app::AppError;
 use crate::app::hardware::{Guarded, StageHandle};
 use crate::control::contracts::Illumination;
+use crate::control::focus_lock::FocusRemote;
 use crate::control::sequencer::Command;
 use crate::reconstruction::Quality;
 use crate::viewer::bench::{
@@ -20,7 +21,7 @@ use arc_swap::{ArcSwap, ArcSwapOption};
 use sofiscope_hal::Motion;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
@@ -47,8 +48,14 @@ pub(super) struct Shared {
     pub(super) to_sequencer: crossbeam_channel::Sender<Command>,
     /// How often STOP was pressed: what was asked before the last time is not begun any more.
     pub(super) stops: AtomicU64,
+    /// Whether no hardware is behind what the board shows.
+    pub(super) is_simulated: AtomicBool,
     events: ArcSwap<Vec<Event>>,
     writing: Mutex<()>,
+    /// The replay under way.
+    pub(super) replay: ArcSwapOption<UnderWay>,
+    /// The focus lock of the open instrument, for whoever asks something of it.
+    pub(super) focus_remote: ArcSwapOption<FocusRemote>,
     focus: ArcSwapOption<FocusGauge>,
     trace: Mutex<VecDeque<(Instant, f64)>>,
 }
@@ -69,8 +76,11 @@ impl Shared {
             last_saved: ArcSwapOption::empty(),
             to_sequencer,
             stops: AtomicU64::new(0),
+            is_simulated: AtomicBool::new(false),
             events: ArcSwap::default(),
             writing: Mutex::default(),
+            replay: ArcSwapOption::empty(),
+            focus_remote: ArcSwapOption::empty(),
             focus: ArcSwapOption::empty(),
             trace: Mutex::default(),
         }
@@ -94,7 +104,8 @@ impl Shared {
     }
 
     /// The focus lock of the open instrument, if it has one.
-    pub(super) fn watch_focus(&self, gauge: Option<FocusGauge>) {
+    pub(super) fn watch_focus(&self, gauge: Option<FocusGauge>, remote: Option<FocusRemote>) {
+        self.focus_remote.store(remote.map(Arc::new));
         self.focus.store(gauge.map(Arc::new));
         self.trace.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
@@ -139,8 +150,12 @@ impl Shared {
     pub(super) fn write_shown(&self, directory: &Path) -> Result<PathBuf, AppError> {
         let look = self.board.sofi.load_full();
         let look = look.ok_or_else(|| AppError::usage("there is no image yet; start the live view first"))?;
-        let is_simulated = self.card.load().as_ref().is_some_and(|card| card.label.is_some());
-        save_look(&look, is_simulated, directory)
+        save_look(&look, self.shows_simulated(), directory)
+    }
+
+    /// Whether no hardware is behind what is shown.
+    pub(super) fn shows_simulated(&self) -> bool {
+        self.is_simulated.load(Ordering::SeqCst)
     }
 
     /// A directory was written.
@@ -161,6 +176,7 @@ impl Shared {
             stage: self.stage.load_full().and_then(|stage| stage_status(&stage)),
             lasers: self.lasers.load().as_ref().clone(),
             focus: self.focus.load_full().map(|gauge| self.focus_status(&gauge)),
+            replay: self.replay.load_full().map(|replay| replay.status(self.run.load().exposures)),
             events: self.events.load_full(),
             recent: self.recent.load_full(),
             last_saved: self.last_saved.load_full().map(|path| path.as_ref().clone()),
@@ -184,7 +200,17 @@ impl Shared {
             (None, true) => "off",
             (None, false) => "not locked",
         };
-        FocusStatus { state: state.to_owned(), trace, quality: None }
+        let told = FocusStatus { state: state.to_owned(), trace, ..FocusStatus::default() };
+        let Some(remote) = self.focus_remote.load_full() else { return told };
+        let status = remote.status();
+        FocusStatus {
+            quality: (status.state == "locked").then_some(status.quality),
+            reason: status.fault.or(status.reason),
+            z_um: Some(status.z_nm / 1e3),
+            is_calibrated: status.calibration.is_some(),
+            state: status.state,
+            ..told
+        }
     }
 }
 

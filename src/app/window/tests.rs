@@ -184,6 +184,158 @@ metadata:
     });
 }
 
+const SHORT_RUN: &str = "time_plan: {interval: 0, loops: 600}
+metadata:
+  sofiscope:
+    version: 1
+    cameras: {exposure_ms: 2.0, period_ms: 2.0}
+    analysis: {order: 2, subsequence_exposures: 50}
+";
+
+/// A recording of 600 exposures, 2 ms apart, and the bench that made it.
+fn recorded(folder: &std::path::Path) -> (LocalBench, std::path::PathBuf) {
+    let (bench, out) = (simulated(), folder.join("run"));
+    bench.ask(BenchCommand::Run { plan: SHORT_RUN.to_owned(), out: out.clone() }).unwrap();
+    until(&bench, "a run", |status| status.last_saved.clone().filter(|_| status.activity == Activity::Idle));
+    (bench, out)
+}
+
+#[test]
+fn a_replay_is_held_goes_elsewhere_and_on_at_another_speed() {
+    let folder = tempfile::tempdir().unwrap();
+    let (bench, recording) = recorded(folder.path());
+    assert_eq!(bench.status().replay, None);
+    bench.ask(BenchCommand::Replay { recording: recording.clone(), speed: 0.1, from: 0 }).unwrap();
+    until(&bench, "frames of the replay", |status| {
+        status.replay.as_ref().filter(|replay| replay.position > 5).map(|_| ())
+    });
+    bench.ask(BenchCommand::Pause).unwrap();
+    let held = until(&bench, "a pause", |status| {
+        let replay = status.replay.clone().filter(|replay| replay.is_paused);
+        replay.filter(|_| status.run.phase == "paused")
+    });
+    assert_eq!((held.exposures, held.speed, &held.recording), (600, 0.1, &recording));
+    assert_eq!(bench.status().activity, Activity::Replay);
+    // Held, it goes to another place, and from there on.
+    bench.ask(BenchCommand::Seek(400)).unwrap();
+    until(&bench, "another place", |status| {
+        let there = status.replay.as_ref().is_some_and(|replay| replay.position > 400 && !replay.is_paused);
+        there.then_some(())
+    });
+    assert_eq!(bench.status().run.planned, Some(200));
+    bench.ask(BenchCommand::Pause).unwrap();
+    until(&bench, "a second pause", |status| {
+        status.replay.as_ref().filter(|replay| replay.is_paused).map(|_| ())
+    });
+    bench.ask(BenchCommand::Resume).unwrap();
+    bench.ask(BenchCommand::ReplaySpeed(f64::INFINITY)).unwrap();
+    until(&bench, "the end", is(&Activity::Idle));
+    let notes = text_of(&bench.status(), Gravity::Note);
+    let books = notes.iter().rfind(|text| text.starts_with("replay (SIMULATED data)")).unwrap();
+    assert!(books.contains(": 400 frames received") && books.contains(" 0 lost"), "{books}");
+    assert!(text_of(&bench.status(), Gravity::Error).is_empty(), "{:?}", bench.status().events);
+    assert_eq!(bench.status().replay, None);
+}
+
+#[test]
+fn a_replay_by_hand_ends_with_the_bits_of_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let (bench, recording) = recorded(folder.path());
+    bench.ask(BenchCommand::Replay { recording: recording.clone(), speed: 2.0, from: 0 }).unwrap();
+    until(&bench, "frames of the replay", |status| {
+        status.replay.as_ref().filter(|replay| replay.position > 50).map(|_| ())
+    });
+    bench.ask(BenchCommand::Pause).unwrap();
+    until(&bench, "a pause", |status| (status.run.phase == "paused").then_some(()));
+    bench.ask(BenchCommand::Resume).unwrap();
+    bench.ask(BenchCommand::ReplaySpeed(f64::INFINITY)).unwrap();
+    until(&bench, "the end", is(&Activity::Idle));
+    let kept = folder.path().join("kept");
+    bench.ask(BenchCommand::SaveResults(kept.clone())).unwrap();
+    until(&bench, "saved results", |status| {
+        status.last_saved.clone().filter(|saved| saved.ends_with("kept"))
+    });
+    let differences = crate::app::replay::compare(&recording, &kept).unwrap();
+    assert!(differences.is_empty(), "{differences:?}");
+}
+
+#[test]
+fn a_run_that_was_held_goes_on_without_a_loss() {
+    let folder = tempfile::tempdir().unwrap();
+    let (bench, out) = (simulated(), folder.path().join("run"));
+    let plan = SHORT_RUN.replace("loops: 600", "loops: 3000");
+    bench.ask(BenchCommand::Run { plan, out }).unwrap();
+    for _ in 0..3 {
+        let before = bench.status().run.exposures;
+        until(&bench, "exposures", |status| {
+            (status.activity == Activity::Run && status.run.exposures > before + 20).then_some(())
+        });
+        bench.ask(BenchCommand::Pause).unwrap();
+        until(&bench, "a pause", is(&Activity::Paused));
+        bench.ask(BenchCommand::Resume).unwrap();
+        until(&bench, "the run again", is(&Activity::Run));
+    }
+    until(&bench, "the end", is(&Activity::Idle));
+    assert!(text_of(&bench.status(), Gravity::Error).is_empty(), "{:?}", bench.status().events);
+    let run = bench.status().run.clone();
+    // Exposures on their way when it was held may be given once more than needed.
+    assert!(run.lost.is_empty() && run.exposures >= 3000 && run.pairs == run.exposures, "{run:?}");
+}
+
+fn property(bench: &LocalBench, name: &str) -> String {
+    let card = bench.status().instrument.clone().unwrap();
+    let camera = card.devices.iter().find(|device| device.role == "camera R").unwrap();
+    camera.properties.iter().find(|row| row.name == name).unwrap().value.clone()
+}
+
+#[test]
+fn properties_of_cameras_are_changed_while_they_rest_and_read_back() {
+    let bench = simulated();
+    let set = |property: &str, value: &str| {
+        let (device, property, value) = ("camera R".to_owned(), property.to_owned(), value.to_owned());
+        bench.ask(BenchCommand::SetProperty { device, property, value }).unwrap();
+    };
+    assert_eq!(property(&bench, "sensor temperature"), "-10");
+    set("target temperature", "-25");
+    until(&bench, "a colder sensor", |_| (property(&bench, "sensor temperature") == "-25").then_some(()));
+    set("cooler", "off");
+    until(&bench, "a warm sensor", |_| (property(&bench, "sensor temperature") == "20").then_some(()));
+    let columns = bench.status().instrument.clone().unwrap().sensor.0;
+    assert_eq!(property(&bench, "sensor width"), columns.to_string(), "what was known stays");
+    for (name, value, says) in [
+        ("target temperature", "-31", "takes -30 to 20 °C"),
+        ("target temperature", "cold", "takes a number"),
+        ("sensor temperature", "0", "can only be looked at"),
+        ("sensor width", "10", "has no property"),
+    ] {
+        set(name, value);
+        until(&bench, says, |status| {
+            text_of(status, Gravity::Error).iter().any(|text| text.contains(says)).then_some(())
+        });
+    }
+    bench.ask(BenchCommand::Live(QUICK)).unwrap();
+    until(&bench, "frames", |_| bench.pictures().cameras);
+    set("cooler", "on");
+    until(&bench, "a refusal", |status| {
+        let warnings = text_of(status, Gravity::Warning);
+        warnings.iter().any(|text| text.contains("only while the cameras rest; finish")).then_some(())
+    });
+    assert_eq!(bench.status().activity, Activity::Live, "nothing was stopped for it");
+    bench.ask(BenchCommand::Finish).unwrap();
+    until(&bench, "the end", is(&Activity::Idle));
+    assert_eq!(property(&bench, "sensor temperature"), "20", "and it was not done later");
+}
+
+#[test]
+fn a_focus_lock_that_is_not_there_is_said() {
+    let bench = simulated();
+    bench.ask(BenchCommand::Focus(crate::viewer::bench::FocusAsk::Lock)).unwrap();
+    until(&bench, "a sentence", |status| {
+        let warnings = text_of(status, Gravity::Warning);
+        warnings.iter().any(|text| text == "this instrument has no focus lock").then_some(())
+    });
+}
+
 #[test]
 fn what_cannot_be_done_is_an_event() {
     let bench = LocalBench::start().unwrap();

@@ -27,5 +27,5 @@ mod tests;
 
 pub use calibration::{Calibration, CalibrationError, SweepPoint, Trust};
 pub use lock::{Correction, FocusLock, LockEnd, LockSettings};
-pub use run::{FocusCommand, FocusError, FocusLoop, FocusStatus};
+pub use run::{FocusCommand, FocusError, FocusLoop, FocusRemote, FocusStatus};
 pub use servo::{Servo, ServoSettings};

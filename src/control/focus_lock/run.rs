@@ -5,7 +5,7 @@
 //! drive stays where it is, and when the thread ends too.
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -87,9 +87,42 @@ impl FocusError {
     }
 }
 
+/// Asks and looks from any thread; does not keep the focus loop alive.
+#[derive(Debug, Clone)]
+pub struct FocusRemote {
+    commands: Weak<Sender<FocusCommand>>,
+    status: Arc<Mutex<FocusStatus>>,
+}
+
+impl FocusRemote {
+    /// Asks for something; what becomes of it is told by the status.
+    ///
+    /// # Errors
+    /// [`Busy`](ErrorKind::Busy) when too much waits, [`Lost`](ErrorKind::Lost) when the loop has ended.
+    pub fn ask(&self, command: FocusCommand) -> Result<(), DeviceError> {
+        send(self.commands.upgrade().as_deref(), command)
+    }
+
+    /// What it does now.
+    #[must_use]
+    pub fn status(&self) -> FocusStatus {
+        self.status.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+fn send(commands: Option<&Sender<FocusCommand>>, command: FocusCommand) -> Result<(), DeviceError> {
+    match commands.map(|commands| commands.try_send(command)) {
+        Some(Ok(())) => Ok(()),
+        Some(Err(crossbeam_channel::TrySendError::Full(_))) => {
+            Err(DeviceError::new(ErrorKind::Busy, "focus lock", "it is busy; ask again"))
+        }
+        _ => Err(DeviceError::new(ErrorKind::Lost, "focus lock", "its thread has ended")),
+    }
+}
+
 /// The other end of the thread; the drive stands still when this is dropped.
 pub struct FocusLoop {
-    commands: Option<Sender<FocusCommand>>,
+    commands: Option<Arc<Sender<FocusCommand>>>,
     status: Arc<Mutex<FocusStatus>>,
     error: FocusError,
     thread: Option<JoinHandle<()>>,
@@ -124,7 +157,7 @@ impl FocusLoop {
         };
         let thread =
             std::thread::Builder::new().name("focus-lock".to_owned()).spawn(move || owner.live(&asked))?;
-        Ok(Self { commands: Some(commands), status, error, thread: Some(thread) })
+        Ok(Self { commands: Some(Arc::new(commands)), status, error, thread: Some(thread) })
     }
 
     /// Asks for something.
@@ -132,14 +165,14 @@ impl FocusLoop {
     /// # Errors
     /// [`Busy`](ErrorKind::Busy) when too much waits, [`Lost`](ErrorKind::Lost) when the thread has ended.
     pub fn ask(&self, command: FocusCommand) -> Result<(), DeviceError> {
-        let sent = self.commands.as_ref().map(|commands| commands.try_send(command));
-        match sent {
-            Some(Ok(())) => Ok(()),
-            Some(Err(crossbeam_channel::TrySendError::Full(_))) => {
-                Err(DeviceError::new(ErrorKind::Busy, "focus lock", "it is busy; ask again"))
-            }
-            _ => Err(DeviceError::new(ErrorKind::Lost, "focus lock", "its thread has ended")),
-        }
+        send(self.commands.as_deref(), command)
+    }
+
+    /// A way to ask and look from anywhere.
+    #[must_use]
+    pub fn remote(&self) -> FocusRemote {
+        let commands = self.commands.as_ref().map(Arc::downgrade).unwrap_or_default();
+        FocusRemote { commands, status: Arc::clone(&self.status) }
     }
 
     /// What it does now.

@@ -6,7 +6,10 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use sofiscope_hal::{Camera, CameraSettings, Channel, Region, TriggerMode, TriggerSource};
+use sofiscope_hal::{
+    Camera, CameraSettings, Channel, DeviceError, ErrorKind, Properties, Property, PropertyValue, Region,
+    TriggerMode, TriggerSource,
+};
 
 use super::readback::mismatches;
 use crate::control::contracts::{ArmedCamera, DataPathError, FocusHold, Illumination, StageDrive};
@@ -26,6 +29,7 @@ pub struct CameraStation {
 pub struct Devices {
     cameras: Vec<CameraStation>,
     trigger: Option<Box<dyn TriggerSource>>,
+    pacer: Option<Box<dyn TriggerSource>>,
     lasers: Box<dyn Illumination>,
     stage: Option<Box<dyn StageDrive>>,
     focus: Option<Box<dyn FocusHold>>,
@@ -41,7 +45,14 @@ impl Devices {
         lasers: Box<dyn Illumination>,
         stage: Option<Box<dyn StageDrive>>,
     ) -> Self {
-        Self { cameras, trigger, lasers, stage, focus: None, actual: Vec::new() }
+        Self { cameras, trigger, pacer: None, lasers, stage, focus: None, actual: Vec::new() }
+    }
+
+    /// The same with something that holds cameras which otherwise run by themselves, as a replay does.
+    #[must_use]
+    pub fn with_pacer(mut self, pacer: Box<dyn TriggerSource>) -> Self {
+        self.pacer = Some(pacer);
+        self
     }
 
     /// The same with a focus lock.
@@ -57,8 +68,45 @@ impl Devices {
         &self.actual
     }
 
+    /// All properties of a camera with their present values; none of a camera that has nothing to browse.
+    ///
+    /// # Errors
+    /// Whatever the camera says.
+    pub fn camera_properties(&mut self, channel: Channel) -> Result<Vec<Property>, DeviceError> {
+        self.browse(channel).map_or(Ok(Vec::new()), Properties::properties)
+    }
+
+    /// Changes a property of a camera that is not at work.
+    ///
+    /// # Errors
+    /// [`OutOfRange`](ErrorKind::OutOfRange) where there is no such camera or property; whatever the camera says.
+    pub fn set_camera_property(
+        &mut self,
+        channel: Channel,
+        name: &str,
+        value: &PropertyValue,
+    ) -> Result<(), DeviceError> {
+        match self.browse(channel) {
+            Some(properties) => properties.set_property(name, value),
+            None => Err(DeviceError::new(
+                ErrorKind::OutOfRange,
+                channel.to_string(),
+                format!("has no property '{name}'"),
+            )),
+        }
+    }
+
+    fn browse(&mut self, channel: Channel) -> Option<&mut dyn Properties> {
+        self.cameras.iter_mut().find(|station| station.channel == channel)?.camera.browse()
+    }
+
     pub(super) fn is_triggered(&self) -> bool {
         self.actual.iter().any(|settings| settings.trigger == TriggerMode::External)
+    }
+
+    /// Whether exposures can be held back for a while.
+    pub(super) fn can_pause(&self) -> bool {
+        self.pacer.is_some() || self.is_triggered()
     }
 
     /// Time from exposure to exposure that every camera can follow.
@@ -168,6 +216,9 @@ impl Devices {
 
     pub(super) fn start_trigger(&mut self, pulses: Option<u64>) -> Result<(), DataPathError> {
         let period = self.period().unwrap_or_default();
+        if let Some(pacer) = &mut self.pacer {
+            pacer.start(period, pulses)?;
+        }
         match &mut self.trigger {
             Some(trigger) if self.actual.iter().any(|settings| settings.trigger == TriggerMode::External) => {
                 trigger.start(period, pulses).map_err(DataPathError::from)
@@ -177,7 +228,11 @@ impl Devices {
     }
 
     pub(super) fn stop_trigger(&mut self) -> Result<(), DataPathError> {
-        self.trigger.as_mut().map_or(Ok(()), |trigger| trigger.stop().map_err(DataPathError::from))
+        let outcomes = [&mut self.trigger, &mut self.pacer].map(|source| match source {
+            Some(source) => source.stop(),
+            None => Ok(()),
+        });
+        outcomes.into_iter().collect::<Result<(), _>>().map_err(DataPathError::from)
     }
 
     /// Stops every camera, also those behind one that fails to stop.

@@ -7,7 +7,7 @@ use crate::sofi::quality::{
 use serde::Serialize;
 
 /// Quality after a number of subsequences; `None` wherever the data cannot tell yet.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Quality {
     /// Subsequences that count.
     pub subsequences: u64,

@@ -1,16 +1,17 @@
 //! The panel below the images: curves, histogram, profile, events.
 
 use super::color_of;
-use crate::display::Limits;
-use crate::reconstruction::{HISTOGRAM_BINS, Quality};
+use super::histogram::histogram;
+use crate::display::{Contrast, Limits};
+use crate::reconstruction::Quality;
 use crate::viewer::bench::{BenchStatus, Pictures};
 use crate::viewer::plane::Layer;
 use crate::viewer::settings::Below;
 use egui::{Color32, RichText, ScrollArea, Ui};
-use egui_plot::{Corner, Legend, Line, Plot, Points, VLine};
+use egui_plot::{Corner, Legend, Line, Plot, Points};
 
 /// Blue, orange, green, vermilion: told apart by all eyes.
-const COLORS: [Color32; 4] = [
+pub(super) const COLORS: [Color32; 4] = [
     Color32::from_rgb(86, 180, 233),
     Color32::from_rgb(230, 159, 0),
     Color32::from_rgb(0, 158, 115),
@@ -20,21 +21,30 @@ const COLORS: [Color32; 4] = [
 /// Signal-to-noise and resolution that "still needed" speaks of.
 const WANTED_SNR: f64 = 5.0;
 
-/// Draws the panel; `limits` are those of the cameras' contrast, `line` is the profile's.
+/// What the panel shows.
+pub(in crate::viewer) struct Shown<'a> {
+    pub(in crate::viewer) status: &'a BenchStatus,
+    pub(in crate::viewer) pictures: &'a Pictures,
+    /// Those of the cameras' contrast.
+    pub(in crate::viewer) limits: &'a [Limits],
+    /// The profile, layer by layer.
+    pub(in crate::viewer) line: &'a [(String, Vec<[f64; 2]>)],
+}
+
+/// Draws the panel; gives another contrast of the cameras when a handle of the histogram is dragged.
 pub(in crate::viewer) fn below(
     ui: &mut Ui,
     what: Below,
-    status: &BenchStatus,
-    pictures: &Pictures,
-    limits: &[Limits],
-    line: &[(String, Vec<[f64; 2]>)],
-) {
+    shown: &Shown<'_>,
+    contrast: Contrast,
+) -> Option<Contrast> {
     match what {
-        Below::Curves => curves(ui, status, pictures),
-        Below::Histogram => histogram(ui, pictures, limits),
-        Below::Profile => profile_plot(ui, line),
-        Below::Events => events(ui, status),
+        Below::Curves => curves(ui, shown.status, shown.pictures),
+        Below::Histogram => return histogram(ui, shown.pictures, shown.limits, contrast),
+        Below::Profile => profile_plot(ui, shown.line),
+        Below::Events => events(ui, shown.status),
     }
+    None
 }
 
 fn curves(ui: &mut Ui, status: &BenchStatus, pictures: &Pictures) {
@@ -56,15 +66,15 @@ fn curves(ui: &mut Ui, status: &BenchStatus, pictures: &Pictures) {
         let curve = |value: &dyn Fn(&Quality) -> Option<f64>| -> Vec<[f64; 2]> {
             quality.iter().filter_map(|quality| Some([quality.exposures as f64, value(quality)?])).collect()
         };
-        plot(&mut columns[0], "SNR", height, |index| {
+        plot(&mut columns[0], ("SNR", Corner::LeftTop), height, |index| {
             last.snr_species.get(index)?;
             Some((named(index), curve(&|quality| quality.snr_species.get(index).copied().flatten())))
         });
-        plot(&mut columns[1], "resolution, nm", height, |index| {
+        plot(&mut columns[1], ("resolution, nm", Corner::LeftBottom), height, |index| {
             last.resolution.get(index)?;
             Some((named(index), curve(&|quality| quality.resolution.get(index)?.nm)))
         });
-        plot(&mut columns[2], "light left", height, |index| {
+        plot(&mut columns[2], ("light left", Corner::LeftBottom), height, |index| {
             let name = ["camera R", "camera T"].get(index)?;
             let left = |quality: &Quality| Some(quality.bleaching.get(index)?.as_ref()?.left);
             Some(((*name).to_owned(), curve(&left)))
@@ -79,67 +89,32 @@ fn names_of_results(pictures: &Pictures) -> Vec<String> {
     stage.into_iter().flat_map(|stage| sofi.stage(stage)).map(|image| image.name.clone()).collect()
 }
 
-fn plot(ui: &mut Ui, name: &str, height: f32, curve: impl Fn(usize) -> Option<(String, Vec<[f64; 2]>)>) {
+fn plot(
+    ui: &mut Ui,
+    (name, corner): (&str, Corner),
+    height: f32,
+    curve: impl Fn(usize) -> Option<(String, Vec<[f64; 2]>)>,
+) {
     let lines: Vec<_> = (0..4).map_while(curve).collect();
+    if lines.iter().all(|(_, points)| points.is_empty()) {
+        ui.vertical_centered(|ui| {
+            ui.add_space(0.4 * height);
+            ui.label(format!("{name}: nothing yet"));
+        });
+        return;
+    }
     Plot::new(name)
         .height(height)
         .x_axis_label("exposures")
         .y_axis_label(name)
         .include_y(0.0)
         .include_x(0.0)
-        .legend(Legend::default().position(Corner::RightBottom).background_alpha(0.3))
+        .legend(Legend::default().position(corner).background_alpha(0.3))
         .allow_scroll(false)
         .show(ui, |plot| {
             for ((name, points), color) in lines.into_iter().zip(COLORS) {
                 plot.points(Points::new(name.clone(), points.clone()).color(color).radius(2.5));
                 plot.line(Line::new(name, points).color(color).width(1.5));
-            }
-        });
-}
-
-fn histogram(ui: &mut Ui, pictures: &Pictures, limits: &[Limits]) {
-    let Some(look) = &pictures.cameras else {
-        ui.label("The histogram of raw counts appears here with the first frames.");
-        return;
-    };
-    for (camera, name) in look.cameras.iter().zip(["camera R", "camera T"]) {
-        let (low, mean, high) = camera.range;
-        let text =
-            format!("{name}: {low} to {high} counts, mean {mean:.1}, {} saturated pixels", camera.saturated);
-        let text = RichText::new(text);
-        let text = if camera.saturated > 0 {
-            text.color(color_of(crate::viewer::bench::Gravity::Error))
-        } else {
-            text
-        };
-        ui.label(text);
-    }
-    let height = (ui.available_height() - 6.0).max(60.0);
-    let highest = look.cameras.iter().map(|camera| f64::from(camera.range.2)).fold(1.0, f64::max);
-    let step = 65_536.0 / HISTOGRAM_BINS as f64;
-    Plot::new("histogram")
-        .height(height)
-        .x_axis_label("raw counts")
-        .y_axis_label("log10 of pixels")
-        .legend(Legend::default())
-        .include_x(0.0)
-        .include_x(highest * 1.05)
-        .allow_scroll(false)
-        .show(ui, |plot| {
-            for ((camera, name), color) in look.cameras.iter().zip(["camera R", "camera T"]).zip(COLORS) {
-                let last = (highest / step) as usize + 2;
-                let points: Vec<[f64; 2]> = camera
-                    .histogram
-                    .iter()
-                    .take(last)
-                    .enumerate()
-                    .map(|(bin, &pixels)| [(bin as f64 + 0.5) * step, f64::from(pixels).max(0.5).log10()])
-                    .collect();
-                plot.line(Line::new(name, points).color(color).width(1.5));
-            }
-            for (limits, color) in limits.iter().zip(COLORS) {
-                plot.vline(VLine::new("black", limits.low).color(color));
-                plot.vline(VLine::new("white", limits.high).color(color));
             }
         });
 }
@@ -212,6 +187,7 @@ mod tests {
             pixels: Pixels::Values(Arc::new(image)),
             pixel_pitch_nm: 100.0,
             paint: Paint::Map(Colormap::Gray),
+            warp: None,
         };
         let lines = profile(&[layer], [[0.05, 0.35], [0.75, 0.35]]);
         let (name, points) = &lines[0];

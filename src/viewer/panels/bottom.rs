@@ -26,17 +26,23 @@ pub(in crate::viewer) fn bottom(
             } else {
                 ui.label(format!("{} exposures", run.exposures));
             }
-            if !run.phase.is_empty() {
+            let is_over = status.activity == Activity::Idle;
+            if is_over && !run.ended.is_empty() {
+                ui.label(RichText::new(&run.ended).strong());
+            } else if !run.phase.is_empty() && !is_over {
                 ui.label(&run.phase);
             }
             ui.label(in_words(run.elapsed));
             if let Some(remaining) = run.remaining.filter(|_| status.activity == Activity::Run) {
                 ui.label(format!("{} left", in_words(remaining)));
             }
-            if let (Some(free), Some(left)) = (run.disk_free, run.disk_left) {
+            if let (Some(free), Some(left), false) = (run.disk_free, run.disk_left, is_over) {
                 ui.label(format!("disk: {} free, {} at this rate", in_bytes(free), in_words(left)));
             }
             ui.label(format!("{} pairs, {} analyzed", run.pairs, run.pairs_analyzed));
+            if is_over {
+                return;
+            }
             let fill = run.fill.map(|fill| format!("{:.0} %", fill * 100.0));
             ui.label(format!("queues {} | {}", fill[0], fill[1]))
                 .on_hover_text("How full the queues to recording and analysis are");
@@ -45,9 +51,6 @@ pub(in crate::viewer) fn bottom(
             }
             if let Some(sofi) = &pictures.sofi {
                 ui.label(&sofi.label).on_hover_text("What the image of the result is made of");
-            }
-            if !run.ended.is_empty() {
-                ui.label(RichText::new(&run.ended).strong());
             }
         });
     }

@@ -1,7 +1,9 @@
 //! The live view: exposure, order, dyes, region, presets.
 
-use super::{Own, Wishes, heading};
-use crate::viewer::bench::{Activity, BenchCommand, BenchStatus, InstrumentCard, LiveSettings};
+use super::lasers::will_shine;
+use super::{Forms, Own, Wishes, color_of, heading};
+use crate::viewer::bench::{Activity, BenchCommand, BenchStatus, Gravity, InstrumentCard, LiveSettings};
+use crate::viewer::presets::{Preset, Presets};
 use egui::{Button, ComboBox, DragValue, RichText, TextEdit, Ui, Vec2};
 use std::time::Duration;
 
@@ -9,8 +11,7 @@ use std::time::Duration;
 #[derive(Debug, Clone, Default)]
 pub(in crate::viewer) struct LiveForm {
     pub(in crate::viewer) settings: LiveSettings,
-    /// Named settings of this session.
-    presets: Vec<(String, LiveSettings)>,
+    /// Name of the next preset.
     name: String,
 }
 
@@ -26,9 +27,12 @@ pub(in crate::viewer) fn live(
     ui: &mut Ui,
     status: &BenchStatus,
     card: &InstrumentCard,
-    form: &mut LiveForm,
+    forms: &mut Forms,
+    presets: &Presets,
     wishes: &mut Wishes,
 ) {
+    let powers_mw = forms.lasers.powers();
+    let form = &mut forms.live;
     let is_live = status.activity == Activity::Live;
     let is_free = matches!(status.activity, Activity::Idle | Activity::Live | Activity::Replay);
     ui.horizontal(|ui| {
@@ -47,12 +51,16 @@ pub(in crate::viewer) fn live(
             wishes.ask(BenchCommand::Finish);
         }
     });
+    if let Some(light) = will_shine(&form.settings) {
+        ui.label(RichText::new(light).color(color_of(Gravity::Warning)));
+    }
     ui.add_space(4.0);
     let can_save = matches!(status.activity, Activity::Live | Activity::Idle | Activity::Replay);
-    let save = Button::new("Save images").min_size(Vec2::new(264.0, 28.0));
+    let size = Vec2::new(ui.available_width().min(268.0), 28.0);
     let hover =
         "Write every image of the running or last view as OME-TIFF, with a picture, into a new directory (S)";
-    if ui.add_enabled(can_save, save).on_hover_text(hover).clicked() {
+    let save = ui.add_enabled_ui(can_save, |ui| ui.add_sized(size, Button::new("Save images"))).inner;
+    if save.on_hover_text(hover).clicked() {
         wishes.own.push(Own::Save);
     }
     if let Some(saved) = &status.last_saved {
@@ -102,25 +110,40 @@ pub(in crate::viewer) fn live(
         "So short that bleaching does not matter; 200 in the paper",
     );
     dyes(ui, card, settings);
+    let is_of = |preset: &Preset| {
+        let live =
+            LiveSettings { laser_power_mw: preset.live.laser_power_mw.clone(), ..form.settings.clone() };
+        live == preset.live && preset.powers_mw == powers_mw
+    };
+    let current = presets.iter().find(|preset| is_of(preset)).map(|preset| preset.name.clone());
+    presets_of(ui, presets, current.as_deref(), &mut form.name, wishes);
+}
+
+fn presets_of(ui: &mut Ui, presets: &Presets, current: Option<&str>, name: &mut String, wishes: &mut Wishes) {
     heading(ui, "Presets");
-    let mut chosen = None;
-    for (name, preset) in &form.presets {
-        if ui.selectable_label(form.settings == *preset, name).clicked() {
-            chosen = Some(preset.clone());
-        }
-    }
-    if let Some(preset) = chosen {
-        form.settings = preset;
+    for preset in presets.iter() {
+        ui.horizontal(|ui| {
+            let hover = "Exposure, region, analysis, powers, contrast and colors; arms no laser";
+            let label = ui.selectable_label(current == Some(preset.name.as_str()), &preset.name);
+            if label.on_hover_text(hover).clicked() {
+                wishes.own.push(Own::UsePreset(preset.name.clone()));
+            }
+            let remove =
+                ui.small_button("remove").on_hover_text(format!("Forget the preset {}", preset.name));
+            if remove.clicked() {
+                wishes.own.push(Own::RemovePreset(preset.name.clone()));
+            }
+        });
     }
     ui.horizontal(|ui| {
         let label = ui.label("Name");
-        ui.add(TextEdit::singleline(&mut form.name).desired_width(130.0)).labelled_by(label.id);
-        let is_named = !form.name.trim().is_empty();
-        if ui.add_enabled(is_named, Button::new("Keep as preset")).clicked() {
-            let name = form.name.trim().to_owned();
-            form.presets.retain(|(other, _)| *other != name);
-            form.presets.push((name, form.settings.clone()));
-            form.name.clear();
+        ui.add(TextEdit::singleline(name).desired_width(130.0)).labelled_by(label.id);
+        let button = ui.add_enabled(!name.trim().is_empty(), Button::new("Keep as preset"));
+        let hover =
+            "Keeps exposure, region, analysis, powers, contrast and colors for later sessions as well";
+        if button.on_hover_text(hover).on_disabled_hover_text("Type a name first").clicked() {
+            wishes.own.push(Own::KeepPreset(name.trim().to_owned()));
+            name.clear();
         }
     });
 }

@@ -5,33 +5,62 @@
 
 mod below;
 mod bottom;
+mod focus;
+mod histogram;
 mod instrument;
+mod lasers;
 mod live;
 mod plan;
+mod properties;
 mod replay;
 mod start;
 mod top;
+mod transport;
 
-pub(super) use below::{below, profile};
+pub(super) use below::{Shown, below, profile};
 pub(super) use bottom::bottom;
-pub(super) use instrument::{StageForm, instrument};
-pub(super) use live::{LiveForm, live};
-pub(super) use plan::{PlanForm, plan};
-pub(super) use replay::{ReplayForm, replay};
+pub(super) use instrument::instrument;
+pub(super) use live::live;
+pub(super) use plan::{plan, run};
+pub(super) use replay::replay;
 pub(super) use start::start;
 pub(super) use top::top;
+pub(super) use transport::transport;
 
 use super::bench::{BenchCommand, Gravity};
 use egui::{Color32, RichText, Ui};
 use std::time::Duration;
 
+/// What is typed and not yet sent, panel by panel.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Forms {
+    pub(super) live: live::LiveForm,
+    pub(super) plan: plan::PlanForm,
+    pub(super) replay: replay::ReplayForm,
+    pub(super) transport: transport::TransportForm,
+    pub(super) stage: instrument::StageForm,
+    pub(super) lasers: lasers::LaserForm,
+    pub(super) focus: focus::FocusForm,
+    pub(super) properties: properties::PropertyForm,
+}
+
 /// What the window itself is asked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Own {
     /// Judge the text of the plan.
     JudgePlan,
+    /// Judge it, and begin unless there is something to warn of.
+    CheckAndRun,
     /// Save images under a suggested name.
     Save,
+    /// Save the pane of the result as it is seen.
+    SavePicture,
+    /// Keep settings of the moment under a name.
+    KeepPreset(String),
+    /// Take the settings of a preset.
+    UsePreset(String),
+    /// Forget a preset.
+    RemovePreset(String),
     /// The layout as it was at first.
     ResetLayout,
     /// Show the list of keys.
@@ -92,11 +121,18 @@ fn in_bytes(bytes: u64) -> String {
 
 /// The first free directory of a name in the present one.
 pub(super) fn suggested(name: &str) -> String {
-    let numbered = |number: u32| if number == 1 { name.to_owned() } else { format!("{name}-{number}") };
-    (1..10_000)
-        .map(numbered)
-        .find(|path| !std::path::Path::new(path).exists())
-        .unwrap_or_else(|| name.to_owned())
+    free(name, "")
+}
+
+/// The first free file of a name in the present directory.
+pub(super) fn suggested_file(name: &str, extension: &str) -> String {
+    free(name, &format!(".{extension}"))
+}
+
+fn free(name: &str, end: &str) -> String {
+    let numbered =
+        |number: u32| if number == 1 { format!("{name}{end}") } else { format!("{name}-{number}{end}") };
+    (1..10_000).map(numbered).find(|path| !std::path::Path::new(path).exists()).unwrap_or_else(|| numbered(1))
 }
 
 #[cfg(test)]

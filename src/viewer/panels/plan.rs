@@ -1,16 +1,51 @@
 //! Plans: chosen or typed, judged, begun.
 
 use super::{Own, Wishes, color_of, heading, in_bytes, in_words, suggested};
-use crate::viewer::bench::{Activity, BenchCommand, BenchStatus, InstrumentCard, PlanEstimate};
-use egui::{Button, RichText, ScrollArea, TextEdit, Ui, Vec2};
+use crate::viewer::bench::{Activity, BenchCommand, BenchStatus, Gravity, InstrumentCard, PlanEstimate};
+use egui::{Button, CollapsingHeader, RichText, ScrollArea, TextEdit, Ui, Vec2};
+use std::path::PathBuf;
 
 /// What is typed for a plan.
 #[derive(Debug, Clone, Default)]
 pub(in crate::viewer) struct PlanForm {
     pub(in crate::viewer) text: String,
     out: String,
+    /// The directory that was suggested last: another one takes its place as long as nobody types.
+    suggestion: String,
+    /// What the window knew to be saved when that was suggested.
+    saved: Option<PathBuf>,
     /// What the judgment said of which text.
     pub(in crate::viewer) judged: Option<(String, Result<PlanEstimate, String>)>,
+}
+
+impl PlanForm {
+    fn suggest(&mut self, status: &BenchStatus) {
+        self.suggestion = suggested("sofiscope-run");
+        self.out.clone_from(&self.suggestion);
+        self.saved.clone_from(&status.last_saved);
+    }
+
+    /// What the judgment of the present text says; none of a text that was changed since.
+    fn judgment(&self) -> Option<&Result<PlanEstimate, String>> {
+        self.judged.as_ref().filter(|(text, _)| *text == self.text).map(|(_, judgment)| judgment)
+    }
+
+    /// The command to begin, into a directory that is still free where nobody typed another one.
+    pub(in crate::viewer) fn begin(&mut self, status: &BenchStatus) -> BenchCommand {
+        if self.out == self.suggestion {
+            self.suggest(status);
+        }
+        BenchCommand::Run { plan: self.text.clone(), out: self.out.trim().into() }
+    }
+
+    /// Whether the plan may begin without another word of the person: it was judged, and nothing is to be warned of.
+    pub(in crate::viewer) fn is_clear(&self) -> bool {
+        self.judgment().is_some_and(|judgment| {
+            judgment.as_ref().is_ok_and(|estimate| {
+                estimate.may_begin && estimate.checks.iter().all(|(gravity, _)| *gravity == Gravity::Note)
+            })
+        })
+    }
 }
 
 /// Draws the panel.
@@ -26,8 +61,8 @@ pub(in crate::viewer) fn plan(
     {
         form.text.clone_from(text);
     }
-    if form.out.is_empty() {
-        form.out = suggested("sofiscope-run");
+    if form.out.is_empty() || (form.saved != status.last_saved && form.out == form.suggestion) {
+        form.suggest(status);
     }
     heading(ui, "Plan");
     ui.horizontal_wrapped(|ui| {
@@ -49,36 +84,40 @@ pub(in crate::viewer) fn plan(
             .labelled_by(label.id)
             .on_hover_text("A directory that must not exist yet");
     });
-    let is_judged = form.judged.as_ref().is_some_and(|(text, _)| *text == form.text);
-    let may_begin = is_judged && matches!(&form.judged, Some((_, Ok(estimate))) if estimate.may_begin);
+    let may_begin =
+        form.judgment().map(|judgment| judgment.as_ref().is_ok_and(|estimate| estimate.may_begin));
     ui.horizontal(|ui| {
         if ui.button("Check plan").on_hover_text("Pre-flight: disk, memory, limits, dyes").clicked() {
             wishes.own.push(Own::JudgePlan);
         }
         let is_free = matches!(status.activity, Activity::Idle | Activity::Live | Activity::Replay);
-        let run = Button::new(RichText::new("Run").size(17.0)).min_size(Vec2::new(110.0, 32.0));
-        let hover = if may_begin { "Acquire, record and analyze" } else { "Check the plan first" };
-        if ui
-            .add_enabled(is_free && may_begin, run)
-            .on_hover_text(hover)
-            .on_disabled_hover_text(hover)
-            .clicked()
-        {
-            wishes.ask(BenchCommand::Run { plan: form.text.clone(), out: form.out.trim().into() });
-            form.out.clear();
+        let (text, hover) = match may_begin {
+            Some(true) if !form.is_clear() => {
+                ("Run all the same", "Acquire and analyze in spite of the warnings below")
+            }
+            Some(true) => ("Run", "Acquire and analyze, and record if the plan says so"),
+            Some(false) => ("Run", "The plan cannot begin; see below what to change"),
+            None => ("Run", "Check the plan, and begin unless there is something to warn of"),
+        };
+        let run = Button::new(RichText::new(text).size(17.0)).min_size(Vec2::new(110.0, 32.0));
+        let run = ui.add_enabled(is_free && may_begin != Some(false), run);
+        if run.on_hover_text(hover).on_disabled_hover_text(hover).clicked() {
+            match may_begin {
+                Some(_) => wishes.ask(form.begin(status)),
+                None => wishes.own.push(Own::CheckAndRun),
+            }
         }
     });
-    if let (true, Some((_, judgment))) = (is_judged, &form.judged) {
+    if let Some(judgment) = form.judgment() {
         judgment_of(ui, judgment);
     }
-    run(ui, status, wishes);
 }
 
 fn judgment_of(ui: &mut Ui, judgment: &Result<PlanEstimate, String>) {
     match judgment {
         Err(faults) => {
             for fault in faults.lines() {
-                ui.label(RichText::new(fault).color(color_of(crate::viewer::bench::Gravity::Error)));
+                ui.label(RichText::new(fault).color(color_of(Gravity::Error)));
             }
         }
         Ok(estimate) => {
@@ -87,19 +126,26 @@ fn judgment_of(ui: &mut Ui, judgment: &Result<PlanEstimate, String>) {
             let time = estimate.duration.map_or(String::new(), |time| format!(", {}", in_words(time)));
             let bytes = estimate.bytes.map_or(String::new(), |bytes| format!(", {}", in_bytes(bytes)));
             ui.label(format!("{} series of {exposures} exposures{time}{bytes}", estimate.series));
-            for (gravity, check) in &estimate.checks {
+            let (passed, others): (Vec<_>, Vec<_>) =
+                estimate.checks.iter().partition(|(gravity, _)| *gravity == Gravity::Note);
+            let tell = |ui: &mut Ui, (gravity, check): &(Gravity, String)| {
                 ui.label(RichText::new(check).color(color_of(*gravity)).small());
-            }
+            };
+            others.into_iter().for_each(|check| tell(ui, check));
+            let title = format!("{} checks passed", passed.len());
+            CollapsingHeader::new(title).id_salt("passed").show(ui, |ui| {
+                passed.into_iter().for_each(|check| tell(ui, check));
+            });
         }
     }
 }
 
-fn run(ui: &mut Ui, status: &BenchStatus, wishes: &mut Wishes) {
+/// Draws what can be done with the run under way, above whatever else the side shows.
+pub(in crate::viewer) fn run(ui: &mut Ui, status: &BenchStatus, wishes: &mut Wishes) {
     let is_running = matches!(status.activity, Activity::Run | Activity::Paused | Activity::Ending);
     if !is_running {
         return;
     }
-    heading(ui, "Run");
     ui.horizontal(|ui| {
         let is_paused = status.activity == Activity::Paused;
         if ui.add_enabled(status.activity == Activity::Run, Button::new("Pause")).clicked() {
@@ -117,4 +163,5 @@ fn run(ui: &mut Ui, status: &BenchStatus, wishes: &mut Wishes) {
             wishes.ask(BenchCommand::Finish);
         }
     });
+    ui.separator();
 }

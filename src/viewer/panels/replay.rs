@@ -1,5 +1,6 @@
 //! Replay: which recording, how fast, from where.
 
+use super::transport::SPEEDS;
 use super::{Wishes, heading};
 use crate::viewer::bench::{Activity, BenchCommand, BenchStatus};
 use egui::{Button, DragValue, ScrollArea, TextEdit, Ui};
@@ -34,7 +35,7 @@ pub(in crate::viewer) fn replay(
     });
     ui.horizontal(|ui| {
         ui.label("Speed");
-        for (speed, name) in [(1.0, "1x"), (2.0, "2x"), (5.0, "5x"), (f64::INFINITY, "max")] {
+        for (speed, name) in SPEEDS {
             ui.selectable_value(&mut form.speed, speed, name);
         }
     });
@@ -48,7 +49,7 @@ pub(in crate::viewer) fn replay(
         !matches!(status.activity, Activity::Run | Activity::Paused | Activity::Ending | Activity::Opening);
     ui.horizontal(|ui| {
         let is_playing = status.activity == Activity::Replay;
-        let text = if is_playing { "Play again with these" } else { "Play" };
+        let text = if is_playing { "Play again" } else { "Play" };
         if ui.add_enabled(is_free && !form.path.trim().is_empty(), Button::new(text)).clicked() {
             wishes.ask(command());
         }

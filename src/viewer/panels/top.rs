@@ -30,14 +30,23 @@ pub(in crate::viewer) fn top(
             }
         }
         ui.separator();
-        ui.label(RichText::new(activity(&status.activity)).size(15.0));
+        let is_held = status.replay.as_ref().is_some_and(|replay| replay.is_paused);
+        let is_recorded = status.run.recording.is_some();
+        let now = match &status.activity {
+            Activity::Replay if is_held => "replay held",
+            Activity::Run if !is_recorded => "RUN, not recorded",
+            other => activity(other),
+        };
+        ui.label(RichText::new(now).size(15.0));
         let run = &status.run;
         if status.activity != Activity::Closed {
             ui.separator();
-            let [r, t] = run.frame_rate;
-            ui.label(format!("{r:.1} | {t:.1} frames/s"))
-                .on_hover_text("Frames per second of camera R and camera T");
-            ui.separator();
+            if status.activity != Activity::Idle {
+                let [r, t] = run.frame_rate;
+                ui.label(format!("{r:.1} | {t:.1} frames/s"))
+                    .on_hover_text("Frames per second of camera R and camera T");
+                ui.separator();
+            }
             losses(ui, status);
         }
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {

@@ -6,13 +6,13 @@ use super::Window;
 use crate::display::{Colormap, Contrast, Limits};
 use crate::reconstruction::{SofiLook, SofiStage};
 use crate::viewer::bench::{Gravity, Pictures};
-use crate::viewer::panels;
+use crate::viewer::panels::{self, Own, Wishes};
 use crate::viewer::view::{Subject, View};
-use egui::{ComboBox, DragValue, RichText, Ui};
+use egui::{Button, Checkbox, ComboBox, DragValue, RichText, Ui};
 
 impl Window {
     /// The row above the images: what is shown, in which colors, with which contrast.
-    pub(super) fn choose(&mut self, ui: &mut Ui, pictures: &Pictures, view: &mut View) {
+    pub(super) fn choose(&self, ui: &mut Ui, pictures: &Pictures, view: &mut View, wishes: &mut Wishes) {
         ui.horizontal_wrapped(|ui| {
             let sofi = pictures.sofi.as_deref();
             let label = ui.label("Image");
@@ -42,13 +42,37 @@ impl Window {
             }
             ui.checkbox(&mut view.marks_saturation, "Mark saturation")
                 .on_hover_text("Saturated pixels in red, judged on raw counts");
+            if view.subject == Subject::Overlay {
+                registration(ui, pictures, view);
+            }
             if ui.button("Whole image").on_hover_text("Double click in the image").clicked() {
                 view.zoom = None;
+            }
+            let hover = "The image as it is seen, with its contrast and a scale bar, as PNG (E)";
+            let has_image = self.result.shown().is_some();
+            if ui.add_enabled(has_image, Button::new("Save picture")).on_hover_text(hover).clicked() {
+                wishes.own.push(Own::SavePicture);
             }
             if let Some(trouble) = pictures.sofi.as_ref().and_then(|sofi| sofi.trouble.as_ref()) {
                 ui.label(RichText::new(trouble).color(panels::color_of(Gravity::Warning)));
             }
         });
+    }
+}
+
+/// Camera T on camera R, or both as they are.
+fn registration(ui: &mut Ui, pictures: &Pictures, view: &mut View) {
+    let look = pictures.cameras.as_ref();
+    let is_known = look.is_some_and(|look| look.transmitted_from_reflected.is_some());
+    let mut is_applied = is_known && view.applies_registration;
+    let checkbox = ui.add_enabled(is_known, Checkbox::new(&mut is_applied, "Registered"));
+    let checkbox = checkbox
+        .on_hover_text(
+            "Camera T brought onto camera R by the registration in use; off shows both as they are",
+        )
+        .on_disabled_hover_text("No registration is in use: both cameras are shown as they are");
+    if checkbox.changed() {
+        view.applies_registration = is_applied;
     }
 }
 

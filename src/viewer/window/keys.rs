@@ -5,7 +5,7 @@
 
 use super::Window;
 use crate::reconstruction::SofiStage;
-use crate::viewer::bench::{BenchCommand, BenchStatus};
+use crate::viewer::bench::{Activity, BenchCommand, BenchStatus};
 use crate::viewer::panels::{Own, Wishes};
 use crate::viewer::view::{Subject, View};
 use egui::{Key, Modifiers, RichText, Ui};
@@ -13,11 +13,13 @@ use egui::{Key, Modifiers, RichText, Ui};
 /// Longest time between two Escapes that are a STOP.
 const TWICE: f64 = 1.0;
 /// Keys and what they do, as the list shows them.
-pub const SHORTCUTS: [(&str, &str); 16] = [
+pub const SHORTCUTS: [(&str, &str); 18] = [
     ("Ctrl+.  or Esc Esc", "STOP: lasers off, motion stopped, run aborted"),
     ("L", "Live"),
     ("F", "Finish in good order"),
-    ("S", "Save images"),
+    ("P", "Hold a run or replay, and go on"),
+    ("S", "Save images as data"),
+    ("E", "Save the image as it is seen"),
     ("1 ... 5", "Show mean, cumulants, unmixed, flattened, linearized"),
     ("R, T, O", "Show camera R, camera T, both on each other"),
     ("C", "Cameras beside the result on and off"),
@@ -51,19 +53,25 @@ impl Window {
             |modifiers: Modifiers, key: Key| context.input_mut(|input| input.consume_key(modifiers, key));
         let plain = |key: Key| pressed(Modifiers::NONE, key);
         if pressed(Modifiers::COMMAND, Key::Z) {
-            self.history.undo();
+            self.undo();
         }
         if pressed(Modifiers::COMMAND, Key::Y) {
-            self.history.redo();
+            self.redo();
         }
         if plain(Key::F1) || plain(Key::Questionmark) {
             self.shows_shortcuts = !self.shows_shortcuts;
         }
         if plain(Key::L) && status.instrument.is_some() {
-            wishes.ask(BenchCommand::Live(self.live.settings.clone()));
+            wishes.ask(BenchCommand::Live(self.forms.live.settings.clone()));
         }
         if plain(Key::F) {
             wishes.ask(BenchCommand::Finish);
+        }
+        if plain(Key::P) {
+            wishes.commands.extend(hold_or_go_on(status));
+        }
+        if plain(Key::E) {
+            wishes.own.push(Own::SavePicture);
         }
         if plain(Key::S) {
             wishes.own.push(Own::Save);
@@ -93,7 +101,10 @@ impl Window {
         if plain(Key::A) {
             next.contrasts[view.contrast_index()] = View::default().contrasts[view.contrast_index()];
         }
-        self.history.set(next, false);
+        if next != view {
+            self.gestures.end();
+            self.history.set(next, false);
+        }
     }
 
     pub(super) fn list_shortcuts(&mut self, ui: &Ui) {
@@ -108,5 +119,15 @@ impl Window {
             });
         });
         self.shows_shortcuts = is_open;
+    }
+}
+
+fn hold_or_go_on(status: &BenchStatus) -> Option<BenchCommand> {
+    let is_held = status.replay.as_ref().is_some_and(|replay| replay.is_paused);
+    match status.activity {
+        Activity::Run => Some(BenchCommand::Pause),
+        Activity::Replay if !is_held => Some(BenchCommand::Pause),
+        Activity::Paused | Activity::Replay => Some(BenchCommand::Resume),
+        _ => None,
     }
 }

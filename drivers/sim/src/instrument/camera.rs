@@ -11,9 +11,10 @@ use std::time::Duration;
 use sofiscope_hal::clock::nanoseconds;
 use sofiscope_hal::{
     Camera, CameraCapabilities, CameraIdentity, CameraSettings, Channel, DeviceError, ErrorKind, FrameStream,
-    Region,
+    Properties, Property, PropertyValue, Region,
 };
 
+use super::cooling::Cooling;
 use super::oracle::Oracle;
 use super::schedule::{Schedule, Timing};
 use super::settings::CameraBehavior;
@@ -52,6 +53,7 @@ pub struct SimulatedCamera {
     settings: Option<CameraSettings>,
     armed: Option<Arc<Schedule>>,
     runs: u64,
+    cooling: Cooling,
 }
 
 impl SimulatedCamera {
@@ -73,7 +75,15 @@ impl SimulatedCamera {
             shortest_period: readout(height as u32),
             saturation_counts: body.source.saturation_counts(body.channel),
         };
-        Self { body, identity, capabilities, settings: None, armed: None, runs: 0 }
+        Self {
+            body,
+            identity,
+            capabilities,
+            settings: None,
+            armed: None,
+            runs: 0,
+            cooling: Cooling::default(),
+        }
     }
 
     fn device(&self) -> String {
@@ -179,6 +189,27 @@ impl Camera for SimulatedCamera {
             schedule.stop();
         }
         self.check_alive()
+    }
+
+    fn browse(&mut self) -> Option<&mut dyn Properties> {
+        Some(self)
+    }
+}
+
+impl Properties for SimulatedCamera {
+    fn properties(&mut self) -> Result<Vec<Property>, DeviceError> {
+        self.check_alive()?;
+        Ok(self.cooling.properties())
+    }
+
+    fn set_property(&mut self, name: &str, value: &PropertyValue) -> Result<(), DeviceError> {
+        self.check_alive()?;
+        if self.armed.is_some() {
+            return Err(self.error(ErrorKind::Busy, format!("is armed; stop it before changing '{name}'")));
+        }
+        self.cooling =
+            self.cooling.with(name, value).map_err(|why| self.error(ErrorKind::OutOfRange, why))?;
+        Ok(())
     }
 }
 

@@ -33,6 +33,7 @@
 //! ```
 
 mod camera;
+mod cooling;
 mod delivery;
 mod film;
 mod oracle;

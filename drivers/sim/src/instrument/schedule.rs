@@ -4,7 +4,8 @@
 //! is, and after how many the camera is done. Never: waits.
 //!
 //! Unpaced, virtual time is where the faster of both readers is; a stop is a stop at that time for
-//! both cameras.
+//! both cameras. In real time, a train that is stopped while cameras follow it is held: the next start goes on
+//! with it, as a camera goes on with the next pulse.
 
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -21,9 +22,8 @@ const OPEN: u64 = u64::MAX;
 /// Exposures that follow each other: a train of pulses, or those of free-running cameras.
 #[derive(Debug)]
 pub(super) struct Train {
-    start: HostTime,
     period: Duration,
-    /// One lock for both counts, so that a stop and a reader agree about the last exposure.
+    /// One lock for all counts, so that a stop and a reader agree about the last exposure.
     counts: Mutex<Counts>,
 }
 
@@ -33,12 +33,19 @@ struct Counts {
     taken: u64,
     /// Number of exposures; `OPEN` until stopped.
     end: u64,
+    /// When the first exposure began; later by the time for which the train was held.
+    start: HostTime,
+    /// Cameras that follow the train and were not stopped.
+    followers: u64,
+    /// Whether it was stopped before its end and may go on.
+    is_held: bool,
 }
 
 impl Train {
     fn new(start: HostTime, period: Duration, pulses: Option<u64>) -> Arc<Self> {
-        let counts = Mutex::new(Counts { taken: 0, end: pulses.unwrap_or(OPEN) });
-        Arc::new(Self { start, period, counts })
+        let end = pulses.unwrap_or(OPEN);
+        let counts = Mutex::new(Counts { taken: 0, end, start, followers: 0, is_held: false });
+        Arc::new(Self { period, counts })
     }
 
     fn lock(&self) -> MutexGuard<'_, Counts> {
@@ -59,7 +66,9 @@ impl Train {
     fn given(&self, counts: Counts, pace: Pace, now: HostTime) -> u64 {
         let given = match pace {
             Pace::Unpaced => counts.taken,
-            Pace::RealTime { speed } => nanoseconds(now.since(self.start)) / paced_ns(self.period, speed) + 1,
+            Pace::RealTime { speed } => {
+                nanoseconds(now.since(counts.start)) / paced_ns(self.period, speed) + 1
+            }
         };
         given.min(counts.end)
     }
@@ -67,7 +76,23 @@ impl Train {
     /// Ends the train with the pulses given by now.
     fn stop(&self, pace: Pace, now: HostTime) {
         let mut counts = self.lock();
-        counts.end = self.given(*counts, pace, now);
+        let given = self.given(*counts, pace, now);
+        counts.is_held |= given < counts.end && matches!(pace, Pace::RealTime { .. });
+        counts.end = given;
+    }
+
+    /// Goes on with a train that is held, if cameras still follow it.
+    fn go_on(&self, pace: Pace, now: HostTime, pulses: Option<u64>) -> bool {
+        let mut counts = self.lock();
+        let Pace::RealTime { speed } = pace else { return false };
+        if !counts.is_held || counts.followers == 0 {
+            return false;
+        }
+        let passed_ns = counts.end.saturating_mul(paced_ns(self.period, speed));
+        counts.start = HostTime(now.0.saturating_sub(passed_ns));
+        counts.end = pulses.map_or(OPEN, |pulses| counts.end.saturating_add(pulses));
+        counts.is_held = false;
+        true
     }
 }
 
@@ -117,7 +142,11 @@ impl Timing {
         if self.running(&trains).is_some() {
             return false;
         }
-        trains.triggered = Some(Train::new(self.clock.now(), period, pulses));
+        let now = self.clock.now();
+        let held = trains.triggered.as_ref().filter(|train| train.period == period);
+        if !held.is_some_and(|train| train.go_on(self.pace, now, pulses)) {
+            trains.triggered = Some(Train::new(now, period, pulses));
+        }
         drop(trains);
         self.bell.ring();
         true
@@ -148,6 +177,9 @@ impl Timing {
             }
             TriggerMode::External => {
                 let train = self.running(&trains);
+                if let Some(train) = &train {
+                    train.lock().followers += 1;
+                }
                 let first = train.as_ref().map_or(0, |train| train.given(*train.lock(), self.pace, now));
                 (Attached { train, first }, trains.triggered.clone())
             }
@@ -202,6 +234,7 @@ impl Schedule {
             && let Some(train) = &self.timing.lock().triggered
             && self.before.as_ref().is_none_or(|before| !Arc::ptr_eq(before, train))
         {
+            train.lock().followers += 1;
             run.train = Some(train.clone());
         }
         run.clone()
@@ -215,16 +248,20 @@ impl Schedule {
         let Some(train) = train else {
             return Outlook { finished: 0, end: own_end, next_at: None, first, period: None, stopped };
         };
+        let counts = *train.lock();
         let (finished, next_at) = match self.timing.pace {
             Pace::Unpaced => (OPEN, None),
             Pace::RealTime { speed } => {
                 let paced_ns = paced_ns(train.period, speed);
-                let done = nanoseconds(self.timing.clock.now().since(train.start)) / paced_ns;
+                let done = nanoseconds(self.timing.clock.now().since(counts.start)) / paced_ns;
                 let next_ns = (done.max(first) + 1).saturating_mul(paced_ns);
-                (done.saturating_sub(first), Some(HostTime(train.start.0.saturating_add(next_ns))))
+                let next_at = HostTime(counts.start.0.saturating_add(next_ns));
+                let is_next = !counts.is_held || done < counts.end;
+                (done.min(counts.end).saturating_sub(first), Some(next_at).filter(|_| is_next))
             }
         };
-        let end = train.lock().end.saturating_sub(first).min(own_end);
+        let end = if counts.is_held { OPEN } else { counts.end };
+        let end = end.saturating_sub(first).min(own_end);
         Outlook { finished, end, next_at, first, period: Some(train.period), stopped }
     }
 
@@ -243,6 +280,10 @@ impl Schedule {
             (Some(_), Pace::RealTime { .. }) => self.outlook().finished,
         };
         self.end.fetch_min(finished, SeqCst);
+        if let Some(train) = self.attached().train {
+            let mut counts = train.lock();
+            counts.followers = counts.followers.saturating_sub(1);
+        }
         self.timing.lock().free[self.channel.index()] = None;
         self.timing.bell.ring();
     }
