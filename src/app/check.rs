@@ -1,6 +1,6 @@
 //! `check`: all faults of a file of settings at once, each with its line and what to do.
 //!
-//! In: a plan, an instrument, a registration, a scene, a scenario of faults, a catalogue of fluorophores or one of dichroics. Out: its kind and its faults.
+//! In: a plan, an instrument, a registration, a scene, a scenario of faults, a catalogue of fluorophores or one of dichroics, parametric spectra. Out: its kind and its faults.
 //! Never: changes the file, stops at the first fault. Fails: [`AppError`] when there is a fault, so that scripts see it.
 
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use toml::de::DeTable;
 
 use super::AppError;
 use super::text_file::read_text;
-use crate::config::{Catalogue, Fault, Instrument, Registration, nearest};
+use crate::config::{Catalogue, Fault, Instrument, ParametricSpectra, Registration, nearest};
 use crate::control::plan::Plan;
 
 /// A file of settings is refused unread above this size.
@@ -25,7 +25,7 @@ struct Kind {
     faults: fn(&Path, &str) -> Vec<Fault>,
 }
 
-const KINDS: [Kind; 6] = [
+const KINDS: [Kind; 7] = [
     Kind {
         name: "scene",
         keys: &[
@@ -55,6 +55,11 @@ const KINDS: [Kind; 6] = [
         name: "registration",
         keys: &["registration_version", "mirror", "matrix_y", "matrix_x", "shift_px", "residual_px"],
         faults: |_, text| Registration::from_toml(text).err().map_or_else(Vec::new, |error| error.faults),
+    },
+    Kind {
+        name: "parametric-spectra",
+        keys: &["emission", "filter", "edge"],
+        faults: |_, text| ParametricSpectra::faults(text),
     },
     Kind {
         name: "scenario",
@@ -92,7 +97,8 @@ pub struct CheckArguments {
 pub struct Findings {
     /// The file.
     pub file: PathBuf,
-    /// Its kind: `plan`, `instrument`, `registration`, `scene`, `scenario`, `fluorophores` or `dichroics`; `None` if it cannot be told.
+    /// Its kind: `plan`, `instrument`, `registration`, `scene`, `scenario`, `fluorophores`, `dichroics` or
+    /// `parametric-spectra`; `None` if it cannot be told.
     pub kind: Option<&'static str>,
     /// True without any fault.
     pub valid: bool,
@@ -150,6 +156,7 @@ fn noun(kind: &str) -> &str {
     match kind {
         "fluorophores" => "list of fluorophores",
         "dichroics" => "list of dichroics",
+        "parametric-spectra" => "list of parametric spectra",
         other => other,
     }
 }

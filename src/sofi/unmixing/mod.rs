@@ -18,7 +18,9 @@ mod tests;
 mod unmixer;
 
 pub use error::UnmixingError;
+pub(super) use jacobi::{SingularValues, pseudo_inverse};
 pub use matrix::UnmixingMatrix;
+pub(super) use matrix::{channel_sets, mixing_matrix};
 pub use unmixer::{Unmixer, UnmixingMethod};
 
 /// Systems with a larger condition number are refused.
