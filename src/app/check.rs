@@ -1,6 +1,6 @@
 //! `check`: all faults of a file of settings at once, each with its line and what to do.
 //!
-//! In: a plan, an instrument, a registration, camera maps, a scene, a scenario of faults, a catalogue of fluorophores or one of dichroics. Out: its kind and its faults.
+//! In: a plan, an instrument, a registration, camera maps, a scene, a scenario of faults, a catalogue of fluorophores or one of dichroics, parametric spectra. Out: its kind and its faults.
 //! Never: changes the file, stops at the first fault. Fails: [`AppError`] when there is a fault, so that scripts see it.
 
 use std::path::{Path, PathBuf};
@@ -11,7 +11,9 @@ use toml::de::DeTable;
 
 use super::AppError;
 use super::text_file::read_text;
-use crate::config::{CameraCalibration, Catalogue, Fault, Instrument, Registration, nearest};
+use crate::config::{
+    CameraCalibration, Catalogue, Fault, Instrument, ParametricSpectra, Registration, nearest,
+};
 use crate::control::plan::Plan;
 
 /// A file of settings is refused unread above this size.
@@ -25,7 +27,7 @@ struct Kind {
     faults: fn(&Path, &str) -> Vec<Fault>,
 }
 
-const KINDS: [Kind; 7] = [
+const KINDS: [Kind; 8] = [
     Kind {
         name: "scene",
         keys: &[
@@ -64,6 +66,11 @@ const KINDS: [Kind; 7] = [
         },
     },
     Kind {
+        name: "parametric-spectra",
+        keys: &["emission", "filter", "edge"],
+        faults: |_, text| ParametricSpectra::faults(text),
+    },
+    Kind {
         name: "scenario",
         keys: &["faults", "pace", "speed", "exposures"],
         faults: |_, text| scenario_faults(text),
@@ -99,7 +106,8 @@ pub struct CheckArguments {
 pub struct Findings {
     /// The file.
     pub file: PathBuf,
-    /// Its kind: `plan`, `instrument`, `registration`, `camera maps`, `scene`, `scenario`, `fluorophores` or `dichroics`; `None` if it cannot be told.
+    /// Its kind: `plan`, `instrument`, `registration`, `camera maps`, `scene`, `scenario`, `fluorophores`, `dichroics` or
+    /// `parametric-spectra`; `None` if it cannot be told.
     pub kind: Option<&'static str>,
     /// True without any fault.
     pub valid: bool,
@@ -157,6 +165,7 @@ fn noun(kind: &str) -> &str {
     match kind {
         "fluorophores" => "list of fluorophores",
         "dichroics" => "list of dichroics",
+        "parametric-spectra" => "list of parametric spectra",
         other => other,
     }
 }

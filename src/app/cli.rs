@@ -35,6 +35,8 @@ enum Command {
     Score(super::score::ScoreArguments),
     /// Find how the cameras see each other
     Calibrate(super::calibrate::CalibrateArguments),
+    /// Choose dyes and dichroic: eigenvalues, noise and crosstalk of a mixture before it is stained
+    Dyes(Box<super::dyes::DyesArguments>),
     /// List all faults of a scene, fluorophores or dichroics file
     Check(super::check::CheckArguments),
     /// Show which devices answer, ask them who they are, and start virtual ones
@@ -65,6 +67,7 @@ pub fn run(arguments: Arguments) -> Result<u8, AppError> {
         Command::Simulate(arguments) => super::simulate::run(&arguments),
         Command::Score(arguments) => super::score::run(&arguments),
         Command::Calibrate(arguments) => super::calibrate::run(&arguments),
+        Command::Dyes(arguments) => super::dyes::run(&arguments),
         Command::Check(arguments) => super::check::run(&arguments),
         Command::Devices(arguments) => super::devices::run(&arguments),
         Command::LaserGuard(arguments) => super::hardware::run_guard(&arguments),

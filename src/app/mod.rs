@@ -16,6 +16,7 @@ mod cli;
 mod data_path;
 mod demo;
 mod devices;
+mod dyes;
 mod error;
 #[cfg(test)]
 mod focus_gate_tests;

@@ -17,6 +17,7 @@ mod null;
 mod page;
 mod plot;
 mod sections;
+mod stacked;
 mod tables;
 mod text;
 mod ticks;
@@ -33,4 +34,5 @@ pub use model::{
 };
 pub use page::{html, write_html};
 pub use plot::{Axis, AxisRange, LinePlot, Series};
+pub use stacked::stacked;
 pub use verdict::verdict;

@@ -10,7 +10,8 @@
 use super::text::{escape, superscript};
 use super::ticks::{self, Scale};
 
-const WIDTH: f64 = 720.0;
+/// Width of a plot, SVG units.
+pub(super) const WIDTH: f64 = 720.0;
 const PLOT_HEIGHT: f64 = 230.0;
 const LEFT: f64 = 68.0;
 const RIGHT: f64 = 18.0;
@@ -110,21 +111,24 @@ impl LinePlot {
     /// The plot as one `<svg>` element, which is also a valid SVG file.
     #[must_use]
     pub fn to_svg(&self) -> String {
+        let (content, height) = self.content();
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" \
+             font-family=\"system-ui, sans-serif\" font-size=\"12\" fill=\"currentColor\">\n{content}</svg>\n"
+        )
+    }
+
+    /// What stands inside the `<svg>`, and its height.
+    pub(super) fn content(&self) -> (String, f64) {
         let points = || self.series.iter().flat_map(|series| series.points.iter());
         let x = self.x.scale(points().map(|point| point.0), ticks::exact);
         let y = self.y.scale(points().map(|point| point.1), ticks::outward);
         let (legend, lines) = self.legend();
         let frame = Frame { x, y, top: 10.0 + LEGEND_LINE * lines };
         let curves: String = (0..self.series.len()).map(|index| self.curve(index, &frame)).collect();
-        let height = frame.bottom() + BELOW;
-        let title = escape(&self.title);
-        format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" \
-             font-family=\"system-ui, sans-serif\" font-size=\"12\" fill=\"currentColor\">\n\
-             <title>{title}</title>\n{legend}{}{}{curves}</svg>\n",
-            frame.grid(),
-            frame.labels(&self.x, &self.y),
-        )
+        let (title, grid) = (escape(&self.title), frame.grid());
+        let labels = frame.labels(&self.x, &self.y);
+        (format!("<title>{title}</title>\n{legend}{grid}{labels}{curves}"), frame.bottom() + BELOW)
     }
 
     /// Legend entries from left to right, and the number of lines they take.
@@ -216,9 +220,19 @@ impl Frame {
 
 fn stroke(index: usize) -> String {
     let (index, color) = (index % COLORS.len(), COLORS[index % COLORS.len()]);
-    let dash = DASHES[index];
+    let (dash, style) = (DASHES[index], page_style(index));
     let dashes = if dash.is_empty() { String::new() } else { format!(" stroke-dasharray=\"{dash}\"") };
-    format!("fill=\"none\" style=\"stroke: var(--series-{index}, {color})\" stroke-width=\"2\"{dashes}")
+    format!("fill=\"none\" stroke=\"{color}\" {style}stroke-width=\"2\"{dashes}")
+}
+
+/// Lets a page replace the color of a series.
+fn page_style(index: usize) -> String {
+    format!("style=\"stroke: var(--series-{index}, {})\" ", COLORS[index])
+}
+
+/// The same without what only pages use: many programs that draw files draw no line in the color of a variable.
+pub(super) fn for_files(svg: String) -> String {
+    (0..COLORS.len()).fold(svg, |svg, index| svg.replace(&page_style(index), ""))
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@
 //! | which pixels make which virtual pixel | [`grid`] | Fig. 1b |
 //! | 2: running spatio-temporal and spectral cross-cumulants | [`cumulant`] | Eq. 2, S2, S4 |
 //! | 3: species from spectral channels | [`unmixing`], [`spectra`], [`response`] | Eq. 2, S2, Table S1 |
+//! | which dyes and which dichroic | [`dye_choice`] | Fig. S2, Table S1 |
 //! | 4: equal weights for the shifted sub-grids | [`flattening`], [`psf`] | Eq. S6 |
 //! | 5: brightness that is linear again | [`linearization`], [`convolution`] | main text, step 5 |
 //! | on-time ratio, brightness and density from three orders | [`balancing`] | bSOFI |
@@ -18,6 +19,7 @@ pub mod balancing;
 pub mod camera;
 pub mod convolution;
 pub mod cumulant;
+pub mod dye_choice;
 pub mod flattening;
 pub mod grid;
 pub mod linearization;

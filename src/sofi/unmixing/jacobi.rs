@@ -10,15 +10,15 @@ const MAX_SWEEPS: usize = 60;
 
 /// Singular values (largest first) and both sides' vectors: `matrix V = scaled`, whose columns are
 /// orthogonal and have the singular values as norms.
-pub(super) struct SingularValues {
-    pub(super) values: Vec<f64>,
+pub(in crate::sofi) struct SingularValues {
+    pub(in crate::sofi) values: Vec<f64>,
     pub(super) scaled: DMatrix<f64>,
     pub(super) right: DMatrix<f64>,
 }
 
 impl SingularValues {
     /// One-sided Jacobi rotations (Hestenes 1958): for matrices this small the most accurate way.
-    pub(super) fn of(matrix: &DMatrix<f64>) -> Self {
+    pub(in crate::sofi) fn of(matrix: &DMatrix<f64>) -> Self {
         let count = matrix.ncols();
         let (mut scaled, mut right) = (matrix.clone(), DMatrix::identity(count, count));
         for _ in 0..MAX_SWEEPS {
@@ -65,7 +65,7 @@ fn make_orthogonal(scaled: &mut DMatrix<f64>, right: &mut DMatrix<f64>, p: usize
 }
 
 /// `V S^-1 U^T`; the columns are known to be independent, so no singular value is dropped.
-pub(super) fn pseudo_inverse(matrix: &DMatrix<f64>) -> DMatrix<f64> {
+pub(in crate::sofi) fn pseudo_inverse(matrix: &DMatrix<f64>) -> DMatrix<f64> {
     let svd = SingularValues::of(matrix);
     let inverse_squares = svd.values.iter().map(|s| 1.0 / (s * s));
     let diagonal = DVector::from_iterator(svd.values.len(), inverse_squares);

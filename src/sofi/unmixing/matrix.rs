@@ -59,10 +59,7 @@ impl UnmixingMatrix {
                 spectral_channels: spectral_channels.len(),
             });
         }
-        let matrix = DMatrix::from_fn(spectral_channels.len(), names.len(), |row, i| {
-            let set = &spectral_channels[row];
-            set.iter().map(|&channel| proportions[[channel, i]]).product()
-        });
+        let matrix = mixing_matrix(&spectral_channels, proportions);
         let singular_values = checked_singular_values(&matrix, names)?;
         Ok(Self {
             order,
@@ -256,8 +253,18 @@ fn check_proportions(
     }
 }
 
+/// `M[(c_1..c_n), i] = prod_j P[c_j, i]` (Eq. S4), whether it can be inverted or not.
+pub(in crate::sofi) fn mixing_matrix(
+    spectral_channels: &[Vec<usize>],
+    proportions: &ArrayRef2<f64>,
+) -> DMatrix<f64> {
+    DMatrix::from_fn(spectral_channels.len(), proportions.ncols(), |row, i| {
+        spectral_channels[row].iter().map(|&channel| proportions[[channel, i]]).product()
+    })
+}
+
 /// All `c_1 <= ... <= c_n` out of `0..num_physical`, in lexicographic order.
-pub(super) fn channel_sets(order: usize, num_physical: usize) -> Vec<Vec<usize>> {
+pub(in crate::sofi) fn channel_sets(order: usize, num_physical: usize) -> Vec<Vec<usize>> {
     let mut sets = vec![Vec::new()];
     for _ in 0..order {
         sets = sets

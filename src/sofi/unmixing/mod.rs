@@ -20,7 +20,9 @@ mod unmixer;
 
 pub use contradiction::{Contradiction, contradictions};
 pub use error::UnmixingError;
+pub(super) use jacobi::{SingularValues, pseudo_inverse};
 pub use matrix::UnmixingMatrix;
+pub(super) use matrix::{channel_sets, mixing_matrix};
 pub use unmixer::{Unmixer, UnmixingMethod};
 
 /// Systems with a larger condition number are refused.
