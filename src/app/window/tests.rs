@@ -141,12 +141,21 @@ fn the_stage_moves_the_sample_and_refuses_what_is_outside() {
     bench.ask(BenchCommand::Live(QUICK)).unwrap();
     until(&bench, "a new beginning", |_| bench.pictures().sofi.filter(|sofi| sofi.samples < 200));
     let after = mean(&bench, 200);
-    let likeness = |shift: usize| -> f32 {
+    // The correlation, as the means are of different numbers of exposures, and the sample bleaches.
+    let likeness = |shift: usize| -> f64 {
         let (height, width) = before.dim();
-        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (y, x)));
-        pixels.map(|(y, x)| (after[[y, x]] - before[[y, (x + shift) % width]]).powi(2)).sum()
+        let pixels = || (0..height).flat_map(move |y| (0..width).map(move |x| (y, x)));
+        let means = [&before, &after].map(|image| f64::from(image.mean().unwrap()));
+        let products = pixels().map(|(y, x)| {
+            let old = f64::from(before[[y, (x + shift) % width]]) - means[0];
+            let new = f64::from(after[[y, x]]) - means[1];
+            [old * new, old * old, new * new]
+        });
+        let sums = products.fold([0.0; 3], |sums, parts| std::array::from_fn(|k| sums[k] + parts[k]));
+        sums[0] / (sums[1] * sums[2]).sqrt()
     };
-    assert!(10.0 * likeness(10) < likeness(0), "{} {}", likeness(10), likeness(0));
+    let (moved, still) = (likeness(10), likeness(0));
+    assert!(4.0 * (1.0 - moved) < 1.0 - still, "{moved} at the new place, {still} at the old one");
     bench.ask(BenchCommand::MoveStage { x_um: 2000.0, y_um: 0.0 }).unwrap();
     until(&bench, "a refusal", |status| {
         text_of(status, Gravity::Error).iter().any(|text| text.contains("outside")).then_some(())

@@ -15,7 +15,7 @@ fn faults_with(from: &str, to: &str) -> Vec<Fault> {
 
 #[test]
 fn every_shipped_scene_parses_under_its_own_name() {
-    assert_eq!(Scene::built_in_names().count(), 8);
+    assert_eq!(Scene::built_in_names().count(), 9);
     for name in Scene::built_in_names() {
         let text = Scene::built_in(name).unwrap();
         let scene = Scene::from_toml(text).unwrap_or_else(|error| panic!("{name}: {error}"));
