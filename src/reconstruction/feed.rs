@@ -115,11 +115,53 @@ pub(super) fn raw_masks(settings: &CumulantSettings) -> Vec<Option<Array2<bool>>
 
 /// Mean of the pixels of a frame that are not left out, counts.
 pub(super) fn mean_counts<T: Count>(frame: &[T], mask: Option<&Array2<bool>>) -> f64 {
-    let Some(mask) = mask else {
-        return frame.iter().map(|count| f64::from(count.counts())).sum::<f64>() / frame.len() as f64;
-    };
+    let Some(mask) = mask else { return sum(frame) / frame.len() as f64 };
     let good = frame.iter().zip(mask).filter(|(_, masked)| !**masked);
     let (sum, number) =
         good.fold((0.0, 0u64), |(sum, number), (count, _)| (sum + f64::from(count.counts()), number + 1));
     sum / number.max(1) as f64
+}
+
+/// Sum of all pixels, exact for counts of 16 bits.
+fn sum<T: Count>(frame: &[T]) -> f64 {
+    // A lane holds the sum of 256 such counts exactly.
+    const LANES: usize = 16;
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            let mut total = 0.0;
+            for pixels in frame.chunks(256 * LANES) {
+                let (registers, rest) = pixels.as_chunks::<LANES>();
+                let mut lanes = [0.0_f32; LANES];
+                for register in registers {
+                    for (lane, pixel) in lanes.iter_mut().zip(register) {
+                        *lane += pixel.counts();
+                    }
+                }
+                let rest = rest.iter().map(|pixel| pixel.counts());
+                total += lanes.into_iter().chain(rest).map(f64::from).sum::<f64>();
+            }
+            total
+        },
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn means_of_counts_are_exact() {
+        for pixels in [1, 15, 16, 4095, 4096, 4097, 100_003] {
+            let frame: Vec<u16> =
+                (0..pixels as u32).map(|i| u16::MAX - (i.wrapping_mul(40_503) >> 22) as u16).collect();
+            let wanted = frame.iter().map(|&count| u64::from(count)).sum::<u64>() as f64 / pixels as f64;
+            assert_eq!(mean_counts(&frame, None), wanted);
+            let mask = Array2::from_shape_fn((1, pixels), |(_, x)| x % 3 == 1);
+            let good =
+                frame.iter().enumerate().filter(|(x, _)| x % 3 != 1).map(|(_, &count)| f64::from(count));
+            let wanted = good.clone().sum::<f64>() / good.count().max(1) as f64;
+            assert_eq!(mean_counts(&frame, Some(&mask)), wanted);
+        }
+    }
 }
