@@ -149,10 +149,14 @@ fn a_stop_rule_ends_a_run_early_and_says_why() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     let plan = plan(folder.path(), "none", "    stop: {snr: 4.0}\n");
+    // So many that the cameras, which wait for nobody here, cannot have made all before the rule is looked at.
+    let many = fs::read_to_string(&plan).unwrap().replace(&format!("loops: {EXPOSURES}"), "loops: 40000");
+    fs::write(&plan, many).unwrap();
     let instrument = instrument(folder.path(), "");
     let arguments = ["run", text(&plan), "--instrument", text(&instrument), "--out", text(&out), "--json"];
     let ended = ended(&sofiscope(&arguments, "2"));
     assert!(ended["ended"].as_str().unwrap().contains("signal-to-noise"), "{ended}");
+    assert!(ended["pairs"].as_u64().unwrap() < 40_000, "{ended}");
     assert!(ended["recording"].is_null());
 }
 
