@@ -165,6 +165,10 @@ fn a_run_and_its_replay_are_the_same_bits() {
     fs::write(&plan, plan_text).unwrap();
     let out = bench.path("run");
     said(&["run", text(&plan), "--instrument", text(&instrument), "--out", text(&out)]);
+    let report = fs::read_to_string(out.join("results/report.json")).unwrap();
+    let report: Value = serde_json::from_str(&report).unwrap();
+    let used = report["settings"]["registration"].as_str().unwrap();
+    assert!(used.starts_with("mirror horizontal, shift (") && used.contains("scale 1.0"), "{used}");
     // The recording keeps the registration; the file may go.
     fs::remove_file(&registration).unwrap();
     said(&["replay", text(&out), "--verify", "--out", text(&bench.path("again"))]);

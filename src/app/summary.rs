@@ -69,6 +69,22 @@ fn inputs(analysis: &Analysis) -> Vec<InputFile> {
     source.inputs.iter().map(input).collect()
 }
 
+/// How camera T was brought onto camera R.
+fn registration(prepared: &Prepared) -> String {
+    let Some(used) = &prepared.engine.registration else {
+        let aligned = "none: the cameras are taken as aligned";
+        return if prepared.engine.channels == 1 { "none: one camera" } else { aligned }.to_owned();
+    };
+    let [y, x] = used.transform.central_shift();
+    format!(
+        "mirror {}, shift ({x:.2}, {y:.2}) px, rotation {:.3} degrees, scale {:.4}; {}",
+        used.transform.mirror.name(),
+        used.transform.rotation_deg(),
+        used.transform.scale(),
+        used.interpolation.name()
+    )
+}
+
 fn settings(analysis: &Analysis) -> Settings {
     let prepared = &analysis.prepared;
     let chosen = &prepared.settings;
@@ -80,7 +96,7 @@ fn settings(analysis: &Analysis) -> Settings {
         combinations: combinations.map(|(name, _)| (*name).to_owned()).unwrap_or_default(),
         lags: prepared.engine.lags.iter().map(|&lag| lag as u32).collect(),
         dichroic: chosen.dichroic.clone(),
-        registration: Some("none: the cameras are taken as aligned".to_owned()),
+        registration: Some(registration(prepared)),
         unmixing: match chosen.unmixing {
             UnmixingMethod::NonNegative => "non-negative".to_owned(),
             _ => "pseudo-inverse".to_owned(),

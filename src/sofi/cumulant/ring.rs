@@ -10,7 +10,7 @@ use super::kernel::{Block, Count, Planes};
 use super::plan::{Element, Halo, Plan};
 use super::prefetch::{LINE_BYTES, prefetch};
 use super::registered::{Rows, TRANSMITTED};
-use crate::sofi::registration::Resampler;
+use crate::sofi::registration::{Resampler, TAPS};
 use pulp::Simd;
 use std::ops::Range;
 
@@ -95,11 +95,15 @@ pub(super) struct Part<'a, T> {
     pub(super) samples: &'a [Planes<'a, T>],
 }
 
+/// Rows of R from the one that is made to that around which its last row of T lies.
+const AHEAD: usize = TAPS / 2 + 1;
+
 /// The pixels of T that a part of a row of R needs and the row above it did not.
 #[inline(always)]
 fn partner(resampler: &Resampler, y: usize, columns: Range<usize>) -> Range<usize> {
     let width = resampler.size()[1];
-    let [first, last] = [columns.start, columns.end.saturating_sub(1)].map(|x| resampler.nearest(y + 3, x));
+    let [first, last] =
+        [columns.start, columns.end.saturating_sub(1)].map(|x| resampler.nearest(y + AHEAD, x));
     let (left, right) = (first.1.min(last.1), first.1.max(last.1));
     first.0 * width + left..first.0 * width + right + 1
 }
