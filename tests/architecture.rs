@@ -154,7 +154,7 @@ const DRIVERS: [(&str, &[&str]); 19] = [
 /// Files that may hold `unsafe` code, each with its reason.
 const UNSAFE: [(&str, &str); 10] = [
     (
-        "src/sofi/cumulant/prefetch.rs",
+        "src/sofi/prefetch.rs",
         "the prefetch instruction has no safe form; it can neither fault nor change a value",
     ),
     (

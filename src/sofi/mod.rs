@@ -23,6 +23,7 @@ pub mod dye_choice;
 pub mod flattening;
 pub mod grid;
 pub mod linearization;
+mod prefetch;
 pub mod psf;
 pub mod quality;
 pub mod registration;

@@ -145,7 +145,11 @@ fn the_stage_moves_the_sample_and_refuses_what_is_outside() {
     // A slow computer averages pixels of the picture; both are compared with 4 x 4 pixels averaged.
     let [before, after] = [before, after].map(|image| {
         let [height, width] = [image.nrows() / 18, image.ncols() / 18];
-        assert_eq!([18 * height, 18 * width], [image.nrows(), image.ncols()], "72 pixels divide into pictures");
+        assert_eq!(
+            [18 * height, 18 * width],
+            [image.nrows(), image.ncols()],
+            "72 pixels divide into pictures"
+        );
         Array2::from_shape_fn((18, 18), |(y, x)| {
             let [y, x] = [y * height, x * width];
             f64::from(image.slice(s![y..y + height, x..x + width]).mean().unwrap())

@@ -9,13 +9,12 @@
 
 use super::layout::Layout;
 use super::plan::{Plan, Term};
-use super::prefetch::prefetch;
-use super::registered;
 use super::ring::{self, Part, Shape};
 use super::second_order;
 use super::terms::any_order;
 use crate::sofi::grid::Combinations;
-use crate::sofi::registration::Resampler;
+use crate::sofi::prefetch::prefetch;
+use crate::sofi::registration::{Resampler, Stretch};
 use pulp::{Arch, Simd, WithSimd};
 use std::cell::RefCell;
 use std::ops::Range;
@@ -57,7 +56,7 @@ const GROUP_FRAMES: usize = 8;
 
 thread_local! {
     static RING: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
-    static REGISTERED: RefCell<registered::Rows> = RefCell::default();
+    static STRETCH: RefCell<Stretch> = RefCell::default();
 }
 
 /// What every band needs to know of a block.
@@ -91,8 +90,8 @@ impl<'a, T> Block<'a, T> {
 
 /// Adds all samples of a block to the sums of one band; `sums[group]` as laid out by [`Layout`].
 pub(super) fn accumulate<T: Count>(block: &Block<'_, T>, band: usize, sums: &mut [&mut [f32]]) {
-    REGISTERED.with_borrow_mut(|registered| {
-        RING.with_borrow_mut(|numbers| dispatch(BandWork { block, band, numbers, registered, sums }));
+    STRETCH.with_borrow_mut(|stretch| {
+        RING.with_borrow_mut(|numbers| dispatch(BandWork { block, band, numbers, stretch, sums }));
     });
 }
 
@@ -109,7 +108,7 @@ struct BandWork<'a, 'b, T> {
     block: &'a Block<'a, T>,
     band: usize,
     numbers: &'a mut Vec<f32>,
-    registered: &'a mut registered::Rows,
+    stretch: &'a mut Stretch,
     sums: &'a mut [&'b mut [f32]],
 }
 
@@ -118,18 +117,18 @@ impl<T: Count> WithSimd for BandWork<'_, '_, T> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { block, band, numbers, registered, sums } = self;
+        let Self { block, band, numbers, stretch, sums } = self;
         let cutting = Cutting::new(block, band);
         let numbers = ring::aligned(numbers, block.shape.numbers(cutting.frames));
         for index in 0..cutting.parts() {
             let part = cutting.part(block, index);
             let next = (index + 1 < cutting.parts()).then(|| cutting.part(block, index + 1));
-            ring::begin(simd, block, &part, registered, numbers);
+            ring::begin(simd, block, &part, stretch, numbers);
             for row in 0..part.rows.len() {
                 if let Some(next) = next.as_ref().filter(|next| next.columns != part.columns) {
                     prefetch_sums(block, next, row, sums);
                 }
-                ring::advance(simd, block, (&part, next.as_ref()), row, registered, numbers);
+                ring::advance(simd, block, (&part, next.as_ref()), row, stretch, numbers);
                 let rows = Rows {
                     numbers,
                     shape: block.shape,

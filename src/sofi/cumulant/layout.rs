@@ -7,7 +7,7 @@ use std::ops::Range;
 pub(super) const COLUMN_PADDING: usize = 16;
 
 /// Rows of one band: small enough that a band's sums stay in the second-level cache.
-pub(super) const BAND_ROWS: usize = 8;
+pub(super) const BAND_ROWS: usize = 16;
 
 /// Sizes of the camera region and of its bands, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -31,7 +31,6 @@ mod kernel;
 mod layout;
 mod moments;
 mod plan;
-mod prefetch;
 mod registered;
 mod ring;
 mod second_order;

@@ -8,9 +8,8 @@ use super::bias::{self, PixelNoise};
 use super::kernel::{Count, Planes};
 use super::layout::Layout;
 use crate::sofi::camera::CameraMaps;
-use crate::sofi::registration::{REGISTER, RegistrationSettings, Resampler, RowTaps, TransformError};
+use crate::sofi::registration::{RegistrationSettings, Resampler, TransformError};
 use ndarray::Array2;
-use pulp::Simd;
 use std::sync::Arc;
 
 /// The channel that is brought onto the others.
@@ -112,27 +111,4 @@ pub(super) fn add_raw<T: Count>(samples: &[Planes<'_, T>], layout: &Layout, band
             }
         },
     );
-}
-
-/// Memory for one row of T on its way.
-#[derive(Debug, Default)]
-pub(super) struct Rows {
-    taps: RowTaps,
-    pub(super) values: Vec<f32>,
-}
-
-impl Rows {
-    /// Makes ready for a row of R from a column on.
-    #[inline(always)]
-    pub(super) fn prepare(&mut self, resampler: &Resampler, y: usize, column: usize, columns: usize) {
-        let registers = columns.div_ceil(REGISTER);
-        self.values.resize(registers * REGISTER, 0.0);
-        resampler.prepare(y as i64, column, registers, &mut self.taps);
-    }
-
-    /// The values of a frame of T.
-    #[inline(always)]
-    pub(super) fn fill<S: Simd, T: Count>(&mut self, simd: S, resampler: &Resampler, frame: &[T]) {
-        resampler.row(simd, &mut self.taps, frame, T::counts, &mut self.values);
-    }
 }

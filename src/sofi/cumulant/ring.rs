@@ -8,17 +8,14 @@
 
 use super::kernel::{Block, Count, Planes};
 use super::plan::{Element, Halo, Plan};
-use super::prefetch::{LINE_BYTES, prefetch};
-use super::registered::{Rows, TRANSMITTED};
-use crate::sofi::registration::{Resampler, TAPS};
+use super::registered::TRANSMITTED;
+use crate::sofi::prefetch::{LINE_BYTES, prefetch};
+use crate::sofi::registration::{FRAMES_TOGETHER, REGISTER, Resampler, Stretch, TAPS};
 use pulp::Simd;
 use std::ops::Range;
 
 /// Columns kept on either side of a strip: one register, so that they are converted like all others.
 const PADDING: usize = LINE_BYTES / size_of::<f32>();
-
-/// Numbers converted at a time, one of the widest registers.
-const REGISTER: usize = 16;
 
 /// Where numbers are in a ring: exposure, then plane, then row, then column.
 #[derive(Debug, Clone, Copy)]
@@ -128,6 +125,12 @@ impl<T: Count> Part<'_, T> {
         (self.rows.start + line).checked_sub(block.plan.halo.up).filter(|&y| y < block.layout.height)
     }
 
+    /// Columns that are converted: those of the strip and some beside it.
+    #[inline(always)]
+    fn padded(&self, block: &Block<'_, T>) -> Range<usize> {
+        self.columns.start.saturating_sub(PADDING)..block.layout.width.min(self.columns.end + PADDING)
+    }
+
     /// Asks for the pixels of a line.
     ///
     /// Those beside the strip lie on the next cache line; the strip before has asked for the first one.
@@ -156,11 +159,18 @@ pub(super) fn begin<S: Simd, T: Count>(
     simd: S,
     block: &Block<'_, T>,
     part: &Part<'_, T>,
-    rows: &mut Rows,
+    stretch: &mut Stretch,
     numbers: &mut [f32],
 ) {
+    if let Some(resampler) = block.resampler {
+        let Halo { up, down, .. } = block.plan.halo;
+        let rows = part.rows.start.saturating_sub(up)..block.layout.height.min(part.rows.end + down);
+        let columns = part.padded(block);
+        let registers = (columns.start, columns.len().div_ceil(REGISTER));
+        stretch.begin(resampler, rows, registers, part.samples.len() * block.plan.lags.len());
+    }
     for line in 0..block.plan.halo.up + block.plan.halo.down {
-        convert_line(simd, block, part, line, rows, numbers);
+        convert_line(simd, block, part, line, stretch, numbers);
     }
 }
 
@@ -171,7 +181,7 @@ pub(super) fn advance<S: Simd, T: Count>(
     block: &Block<'_, T>,
     (part, next): (&Part<'_, T>, Option<&Part<'_, T>>),
     row: usize,
-    rows: &mut Rows,
+    stretch: &mut Stretch,
     numbers: &mut [f32],
 ) {
     let before = block.plan.halo.up + block.plan.halo.down;
@@ -183,7 +193,7 @@ pub(super) fn advance<S: Simd, T: Count>(
             next.prefetch_line(block, line);
         }
     }
-    convert_line(simd, block, part, line, rows, numbers);
+    convert_line(simd, block, part, line, stretch, numbers);
 }
 
 /// Converts one row of a part, lines counted from the first one above it; zero outside the camera region.
@@ -193,22 +203,17 @@ fn convert_line<S: Simd, T: Count>(
     block: &Block<'_, T>,
     part: &Part<'_, T>,
     line: usize,
-    rows: &mut Rows,
+    stretch: &mut Stretch,
     numbers: &mut [f32],
 ) {
     let (shape, layout) = (&block.shape, block.layout);
     let (y, columns) = match part.camera_row(block, line) {
-        Some(y) => {
-            (y, part.columns.start.saturating_sub(PADDING)..layout.width.min(part.columns.end + PADDING))
-        }
+        Some(y) => (y, part.padded(block)),
         None => (0, 0..0),
     };
     let left = (columns.start + PADDING).saturating_sub(part.columns.start);
     let start = line % shape.depth * shape.row;
     let resampler = block.resampler.filter(|_| !columns.is_empty());
-    if let Some(resampler) = resampler {
-        rows.prepare(resampler, y, columns.start, columns.len());
-    }
     for (sample, frame) in part.samples.iter().zip((start..).step_by(shape.frame)) {
         for (index, (pixels, start)) in sample.iter().zip((frame..).step_by(shape.plane)).enumerate() {
             let (before, target) = numbers[start..start + shape.row].split_at_mut(left);
@@ -216,14 +221,30 @@ fn convert_line<S: Simd, T: Count>(
             before.fill(0.0);
             behind.fill(0.0);
             let channel = index % shape.channels;
-            let reference = &block.reference[channel][y * layout.stride..][columns.clone()];
-            match resampler.filter(|_| channel == TRANSMITTED) {
-                Some(resampler) => {
-                    rows.fill(simd, resampler, pixels);
-                    subtract(target, &rows.values[..columns.len()], reference);
-                }
-                None => subtract(target, &pixels[y * layout.width..][columns.clone()], reference),
+            if resampler.is_none() || channel != TRANSMITTED {
+                let reference = &block.reference[channel][y * layout.stride..][columns.clone()];
+                subtract(target, &pixels[y * layout.width..][columns.clone()], reference);
             }
+        }
+    }
+    if let Some(resampler) = resampler {
+        let reference = &block.reference[TRANSMITTED][y * layout.stride..][columns];
+        stretch.prepare(resampler, y);
+        let lags = block.plan.lags.len();
+        let plane = |lag: usize| lag * shape.channels + TRANSMITTED;
+        let target =
+            |frame: usize| start + left + frame / lags * shape.frame + plane(frame % lags) * shape.plane;
+        let pixels = |frame: usize| part.samples[frame / lags][plane(frame % lags)];
+        let frames = part.samples.len() * lags;
+        let together = frames - frames % FRAMES_TOGETHER;
+        for first in (0..together).step_by(FRAMES_TOGETHER) {
+            let many: [_; FRAMES_TOGETHER] = std::array::from_fn(|frame| pixels(first + frame));
+            let targets = std::array::from_fn(|frame| target(first + frame));
+            stretch.rows(simd, resampler, (first, many), T::counts, reference, (&mut *numbers, targets));
+        }
+        for frame in together..frames {
+            let (one, target) = ([pixels(frame)], [target(frame)]);
+            stretch.rows(simd, resampler, (frame, one), T::counts, reference, (&mut *numbers, target));
         }
     }
 }

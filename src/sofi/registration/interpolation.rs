@@ -13,7 +13,7 @@ const BEFORE: i64 = TAPS as i64 / 2 - 1;
 pub const PADDED_TAPS: usize = 3 * TAPS;
 
 /// Places between two pixels that are told apart; half a step is 0.0005 pixels.
-const PHASES: usize = 1024;
+pub(super) const PHASES: usize = 1024;
 
 /// Standard deviation of the spots that the weights fit best, pixels; narrower than most that cameras see, as wide
 /// spots are the easier ones.
@@ -96,11 +96,10 @@ impl Weights {
         &self.by_phase[phase]
     }
 
-    /// The first pixel and the weights for a place.
+    /// The weights of a phase.
     #[inline(always)]
-    pub(super) fn at(&self, place: f64) -> (i64, &[f32; TAPS]) {
-        let (first, phase) = Self::place(place);
-        (first, self.by_phase[phase][TAPS..].first_chunk().unwrap_or(&[0.0; TAPS]))
+    pub(super) fn of_phase(&self, phase: usize) -> &[f32; TAPS] {
+        self.by_phase[phase][TAPS..].first_chunk().unwrap_or(&[0.0; TAPS])
     }
 }
 
@@ -163,16 +162,22 @@ impl SpotWeights {
 mod tests {
     use super::*;
 
+    /// The first pixel and the weights for a place.
+    fn at(weights: &Weights, place: f64) -> (i64, &[f32; TAPS]) {
+        let (first, phase) = Weights::place(place);
+        (first, weights.of_phase(phase))
+    }
+
     #[test]
     fn weights_sum_to_one_and_are_exact_on_a_pixel() {
         for (_, way) in Interpolation::NAMES {
             let weights = Weights::new(way, 1.0);
-            let (first, on_a_pixel) = weights.at(7.0);
+            let (first, on_a_pixel) = at(&weights, 7.0);
             assert_eq!((first, on_a_pixel[BEFORE as usize]), (7 - BEFORE, 1.0));
             assert_eq!(on_a_pixel.iter().filter(|weight| **weight == 0.0).count(), TAPS - 1);
-            assert_eq!(weights.at(-3.0 + 1e-9).0, -3 - BEFORE);
+            assert_eq!(at(&weights, -3.0 + 1e-9).0, -3 - BEFORE);
             for step in 0..100 {
-                let sum: f32 = weights.at(f64::from(step) * 0.01).1.iter().sum();
+                let sum: f32 = at(&weights, f64::from(step) * 0.01).1.iter().sum();
                 assert!((sum - 1.0).abs() < 1e-6);
             }
         }
@@ -180,7 +185,7 @@ mod tests {
 
     /// What the weights for a place do to a spot: change of its energy, and the error over its root mean square.
     fn change_of_spot(weights: &Weights, place: f64, deviation: f64) -> [f64; 2] {
-        let (first, taps) = weights.at(place);
+        let (first, taps) = at(weights, place);
         let [mut energy, mut kept, mut error] = [0.0; 3];
         for step in 0..2000 {
             let f = std::f64::consts::PI * (f64::from(step) + 0.5) / 2000.0;

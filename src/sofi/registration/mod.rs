@@ -4,7 +4,8 @@
 //! |---|---|
 //! | mirror and affine map | [`ReflectedFromTransmitted`], `transform.rs` |
 //! | weights that keep the point-spread function | [`Interpolation`], `interpolation.rs` |
-//! | rows of T on the pixels of R | [`Resampler`], `resampling.rs` |
+//! | which pixels of T make a pixel of R | [`Resampler`], `resampling.rs` |
+//! | rows of T on the pixels of R | [`Stretch`], `stretch.rs` |
 //! | beads, to a fraction of a pixel | [`find_beads`], `beads.rs` |
 //! | which bead is which, mirror included | [`match_beads`], `matching.rs`, `fit.rs` |
 //! | places that blink together | [`CoarseCorrelation`], [`PatchCorrelation`], `correlation.rs` |
@@ -20,6 +21,7 @@ mod interpolation;
 mod matching;
 mod noise;
 mod resampling;
+mod stretch;
 mod transform;
 
 pub use beads::{Bead, find_beads};
@@ -28,7 +30,8 @@ pub use fit::{PointPair, distance, fit_affine, root_mean_square};
 pub use interpolation::{Interpolation, PADDED_TAPS, TAPS};
 pub use matching::{BeadMatch, MatchError, match_beads, without_outliers};
 pub use noise::NoiseLine;
-pub use resampling::{REGISTER, Resampler, RowTaps};
+pub use resampling::{REGISTER, Resampler};
+pub use stretch::{FRAMES_TOGETHER, Stretch};
 pub use transform::{Affine, Mirror, ReflectedFromTransmitted, TransformError};
 
 /// How the frames of T are registered on the way into the cumulants.

@@ -1,43 +1,107 @@
-//! Frames of camera T on the pixels of camera R, row by row, in two passes.
+//! Where the values of camera T come from on the pixels of camera R.
 //!
-//! One row of R is a slightly inclined line on T. The first pass makes the values on that line, at every column of T,
-//! from [`TAPS`] rows; the second makes the values at the columns of R from as many of these. Columns are worked on in
-//! registers: within one, the first of these pixels moves by at most one, so one tap more per register is enough and
-//! no pixel is looked up by itself.
+//! One row of R is a slightly inclined line on T. Values on that line, at every column of T, are made from [`TAPS`]
+//! rows; values at the columns of R from as many of these. Columns are worked on in registers: within one, places
+//! gain evenly on whole pixels and the first pixel moves by at most one, so one tap more per register is enough, no
+//! pixel is looked up by itself, and the phase of a register's first column tells all its weights.
 //!
-//! In: the transform and how to interpolate; rows of T as the camera gave them. Out: rows on the pixels of R, in
-//! counts of T per pixel of R.
-//! Never: allocates after the first row on a thread, changes a value by whole-pixel shifts and mirrors.
+//! In: the transform and how to interpolate. Out: pixels of T and their weights for every pixel of R, in counts of T
+//! per pixel of R; [`Stretch`](super::Stretch) puts them to work.
+//! Never: changes a value by whole-pixel shifts and mirrors.
 //! Fails: [`TransformError`] for maps that are farther from a shift than registers can follow.
 
-use super::interpolation::{Interpolation, PADDED_TAPS, TAPS, Weights};
+use super::interpolation::{Interpolation, PADDED_TAPS, PHASES, TAPS, Weights};
 use super::transform::{ReflectedFromTransmitted, TransformError};
 use ndarray::Array2;
-use pulp::Simd;
-use std::ops::Range;
 
 /// Columns of one register.
 pub const REGISTER: usize = 16;
 
 /// Taps of a register: those of a value, and one for a place where the first pixel moves on.
-const REGISTER_TAPS: usize = TAPS + 1;
+pub(super) const REGISTER_TAPS: usize = TAPS + 1;
 
 /// Most that a line may gain on its pixels from column to column, so that it gains less than a pixel in a register.
 const STEEPEST: f64 = 0.06;
 
 /// A place on T that grows evenly with column and row.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 struct Line {
     per_column: f64,
     per_row: f64,
     at_zero: f64,
+    /// Whole pixels from column to column.
+    step: i64,
+    /// Phases that each column of a register has gained on whole pixels since its first one.
+    gains: [i64; REGISTER],
+    /// The least of them.
+    least: i64,
 }
 
 impl Line {
+    fn new(per_column: f64, per_row: f64, at_zero: f64, step: i64) -> Self {
+        let gain = (per_column - step as f64) * PHASES as f64;
+        let gains = std::array::from_fn(|lane| (gain * lane as f64).round() as i64);
+        let least = gains[0].min(gains[REGISTER - 1]);
+        Self { per_column, per_row, at_zero, step, gains, least }
+    }
+
     #[inline(always)]
     fn at(&self, row: i64, column: i64) -> f64 {
         self.per_column * column as f64 + self.per_row * row as f64 + self.at_zero
     }
+
+    /// First pixel and phase of the first column of a register.
+    #[inline(always)]
+    fn register(&self, row: i64, register: i64) -> (i64, usize) {
+        Weights::place(self.at(row, register * REGISTER as i64))
+    }
+
+    /// First pixel that any column of a register needs, and the phase of its first column.
+    #[inline(always)]
+    fn needed(&self, row: i64, register: i64) -> (i64, usize) {
+        let (first, phase) = self.register(row, register);
+        (first + after(phase, self.least).0, phase)
+    }
+
+    /// First pixel and phase of a column.
+    #[inline(always)]
+    fn place(&self, row: i64, column: i64) -> (i64, usize) {
+        const COLUMNS: i64 = REGISTER as i64;
+        let lane = column.rem_euclid(COLUMNS);
+        let (first, phase) = self.register(row, column.div_euclid(COLUMNS));
+        let (gained, phase) = after(phase, self.gains[lane as usize]);
+        (first + self.step * lane + gained, phase)
+    }
+}
+
+/// Whole pixels and the phase that remains when a phase has gained some.
+#[inline(always)]
+fn after(phase: usize, gain: i64) -> (i64, usize) {
+    let phases = phase as i64 + gain;
+    (phases.div_euclid(PHASES as i64), phases.rem_euclid(PHASES as i64) as usize)
+}
+
+/// The weights of all columns of a register.
+///
+/// Twice one after another, so that a ring of as many pixels finds them in its own order wherever it begins.
+pub(super) type RegisterTaps = [[f32; REGISTER]; 2 * REGISTER_TAPS];
+
+/// The weights of every register by the phase of its first column; columns backwards where they are counted so.
+fn register_taps(line: &Line, weights: &Weights, flips: bool) -> Vec<RegisterTaps> {
+    let taps = |phase: usize| {
+        let (first, mut register) = (after(phase, line.least).0, RegisterTaps::default());
+        for (lane, gain) in line.gains.into_iter().enumerate() {
+            let (gained, phase) = after(phase, gain);
+            // Lanes whose pixels have moved on begin with one of the zeros before the weights.
+            let taps = &weights.padded(phase)[TAPS - (gained - first) as usize..][..REGISTER_TAPS];
+            let lane = if flips { REGISTER - 1 - lane } else { lane };
+            for (register, weight) in register.iter_mut().zip(taps.iter().chain(taps)) {
+                register[lane] = *weight;
+            }
+        }
+        register
+    };
+    (0..PHASES).map(taps).collect()
 }
 
 /// Brings T onto R; made once for a transform.
@@ -53,23 +117,8 @@ pub struct Resampler {
     weights: Weights,
     /// The same times the pixels of T that one pixel of R covers, so that all light of a spot arrives.
     light: Weights,
-}
-
-/// The weights of one register of columns.
-#[derive(Debug, Clone, Copy, Default)]
-struct RegisterTaps {
-    first: i64,
-    weights: [[f32; REGISTER]; REGISTER_TAPS],
-}
-
-/// The weights of a stretch of one row, and memory for the values between the passes.
-#[derive(Debug, Default)]
-pub struct RowTaps {
-    down: Vec<RegisterTaps>,
-    across: Vec<RegisterTaps>,
-    /// The column of flipped T at which the values between the passes begin.
-    begin: i64,
-    between: Vec<f32>,
+    down_taps: Vec<RegisterTaps>,
+    across_taps: Vec<RegisterTaps>,
 }
 
 impl Resampler {
@@ -95,19 +144,22 @@ impl Resampler {
         if slope.abs() > STEEPEST {
             return Err(too_far());
         }
+        let flips = transform.mirror.flips();
         let covered = (xx * yy - xy * yx).abs();
+        let down = Line::new(slope, yy - slope * xy, inverse.shift[0] - slope * inverse.shift[1], 0);
+        let across = Line::new(xx, xy, inverse.shift[1], 1);
+        let weights = Weights::new(interpolation, 1.0);
+        let light = Weights::new(interpolation, if interpolation.is_unbiased() { covered } else { 1.0 });
         Ok(Self {
             height: transform.size[0],
             width: transform.size[1],
-            flips: transform.mirror.flips(),
-            down: Line {
-                per_column: slope,
-                per_row: yy - slope * xy,
-                at_zero: inverse.shift[0] - slope * inverse.shift[1],
-            },
-            across: Line { per_column: xx, per_row: xy, at_zero: inverse.shift[1] },
-            weights: Weights::new(interpolation, 1.0),
-            light: Weights::new(interpolation, if interpolation.is_unbiased() { covered } else { 1.0 }),
+            flips,
+            down_taps: register_taps(&down, &weights, flips[1]),
+            across_taps: register_taps(&across, &light, false),
+            down,
+            across,
+            weights,
+            light,
         })
     }
 
@@ -121,21 +173,23 @@ impl Resampler {
     #[inline(always)]
     #[must_use]
     pub fn across(&self, row: i64, column: i64) -> (i64, &[f32; TAPS]) {
-        self.light.at(self.across.at(row, column))
+        let (first, phase) = self.across_place(row, column);
+        (first, self.light.of_phase(phase))
     }
 
     /// First row of flipped T, and weights, of the line of a row of R at a column of flipped T.
     #[inline(always)]
     #[must_use]
     pub fn down(&self, row: i64, flipped_column: i64) -> (i64, &[f32; TAPS]) {
-        self.weights.at(self.down.at(row, flipped_column))
+        let (first, phase) = self.down_place(row, flipped_column);
+        (first, self.weights.of_phase(phase))
     }
 
     /// First column of flipped T for a pixel of R, and the phase that tells its [`across_weights`](Self::across_weights).
     #[inline(always)]
     #[must_use]
     pub fn across_place(&self, row: i64, column: i64) -> (i64, usize) {
-        Weights::place(self.across.at(row, column))
+        self.across.place(row, column)
     }
 
     /// First row of flipped T for the line of a row of R at a column of flipped T, and the phase that tells its
@@ -143,7 +197,7 @@ impl Resampler {
     #[inline(always)]
     #[must_use]
     pub fn down_place(&self, row: i64, flipped_column: i64) -> (i64, usize) {
-        Weights::place(self.down.at(row, flipped_column))
+        self.down.place(row, flipped_column)
     }
 
     /// Weights of [`TAPS`] columns from the first one on, between as many zeros on both sides.
@@ -198,148 +252,35 @@ impl Resampler {
         })
     }
 
-    /// Puts the weights for a row of R and `registers` registers from a column on into `taps`.
+    /// First column of flipped T that a register of R's columns needs, and the phase of its weights.
     #[inline(always)]
-    pub fn prepare(&self, row: i64, column: usize, registers: usize, taps: &mut RowTaps) {
-        let columns = (column as i64..).step_by(REGISTER).take(registers);
-        taps.across.clear();
-        for x in columns {
-            taps.across.push(register(&self.light, |lane| self.across.at(row, x + lane), 1));
-        }
-        let begin = taps.across.first().map_or(0, |first| first.first);
-        let end = taps.across.last().map_or(0, |last| last.first) + (TAPS + REGISTER) as i64;
-        taps.begin = begin;
-        taps.down.clear();
-        for j in (begin..end).step_by(REGISTER) {
-            // Pixels are read in the order of the sensor; where that is flipped, so are the lanes.
-            let (first, step) = if self.flips[1] { (j + REGISTER as i64 - 1, -1) } else { (j, 1) };
-            taps.down.push(register(&self.weights, |lane| self.down.at(row, first + step * lane), 0));
-        }
-        taps.between.resize(taps.down.len() * REGISTER, 0.0);
+    pub(super) fn across_register(&self, row: i64, register: i64) -> (i64, usize) {
+        self.across.needed(row, register)
     }
 
-    /// The values of a frame of T where `taps` was prepared for; `count` gives the counts of a pixel.
+    /// First row of flipped T that the line of a row of R needs in a register of flipped T's columns, and the phase
+    /// of its weights.
     #[inline(always)]
-    pub fn row<S: Simd, T: Copy>(
-        &self,
-        simd: S,
-        taps: &mut RowTaps,
-        frame: &[T],
-        count: impl Fn(T) -> f32,
-        values: &mut [f32],
-    ) {
-        let RowTaps { down, across, begin, between } = taps;
-        let (between_registers, _) = between.as_chunks_mut::<REGISTER>();
-        for ((taps, between), j) in down.iter().zip(between_registers).zip((*begin..).step_by(REGISTER)) {
-            let mut sums = zeros(simd);
-            match self.columns(j).zip(self.rows(taps)) {
-                Some((column, rows)) => {
-                    // The weights follow the rows of flipped T, the lines those of the sensor.
-                    let (mut line, step) = if self.flips[0] {
-                        ((rows.end - 1) * self.width + column, self.width.wrapping_neg())
-                    } else {
-                        (rows.start * self.width + column, self.width)
-                    };
-                    for weights in &taps.weights {
-                        if let Some(raw) = frame.get(line..).and_then(|raw| raw.first_chunk::<REGISTER>()) {
-                            add_weighted(simd, &mut sums, weights, &converted(raw, &count));
-                        }
-                        line = line.wrapping_add(step);
-                    }
-                }
-                None => {
-                    for (row, weights) in (taps.first..).zip(&taps.weights) {
-                        let pixels = std::array::from_fn(|lane| {
-                            let lane = if self.flips[1] { REGISTER - 1 - lane } else { lane };
-                            let (row, column) = self.sensor(row, j + lane as i64);
-                            count(frame[row * self.width + column])
-                        });
-                        add_weighted(simd, &mut sums, weights, &pixels);
-                    }
-                }
-            }
-            store(simd, &sums, between);
-            if self.flips[1] {
-                between.reverse();
-            }
-        }
-        for (taps, values) in across.iter().zip(values.chunks_mut(REGISTER)) {
-            let mut sums = zeros(simd);
-            let start = (taps.first - *begin) as usize;
-            if let Some(between) = between[start..].first_chunk::<{ REGISTER + REGISTER_TAPS - 1 }>() {
-                for (tap, weights) in taps.weights.iter().enumerate() {
-                    if let Some(between) = between[tap..].first_chunk::<REGISTER>() {
-                        add_weighted(simd, &mut sums, weights, between);
-                    }
-                }
-            }
-            let mut register = [0.0; REGISTER];
-            store(simd, &sums, &mut register);
-            match values.first_chunk_mut::<REGISTER>() {
-                Some(values) => *values = register,
-                None => values.copy_from_slice(&register[..values.len()]),
-            }
-        }
+    pub(super) fn down_register(&self, row: i64, register: i64) -> (i64, usize) {
+        self.down.needed(row, register)
     }
 
-    /// Rows of the sensor that a register needs, if all are there.
+    /// The weights of registers of R's columns by phase.
     #[inline(always)]
-    fn rows(&self, taps: &RegisterTaps) -> Option<Range<usize>> {
-        let first = usize::try_from(taps.first).ok()?;
-        let end = first + REGISTER_TAPS;
-        match self.flips[0] {
-            _ if end > self.height => None,
-            true => Some(self.height - end..self.height - first),
-            false => Some(first..end),
-        }
+    pub(super) fn across_taps(&self, phase: usize) -> &RegisterTaps {
+        &self.across_taps[phase]
     }
 
-    /// First column of the sensor of a register of flipped T, if all are there.
+    /// The weights of registers of flipped T's columns by phase, columns in the order of the sensor.
     #[inline(always)]
-    fn columns(&self, j: i64) -> Option<usize> {
-        let start = if self.flips[1] { self.width as i64 - REGISTER as i64 - j } else { j };
-        usize::try_from(start).ok().filter(|start| start + REGISTER <= self.width)
+    pub(super) fn down_taps(&self, phase: usize) -> &RegisterTaps {
+        &self.down_taps[phase]
     }
-}
 
-/// A register of pixels in counts.
-#[inline(always)]
-fn converted<T: Copy>(raw: &[T; REGISTER], count: &impl Fn(T) -> f32) -> [f32; REGISTER] {
-    let mut pixels = [0.0; REGISTER];
-    for (pixel, raw) in pixels.iter_mut().zip(raw) {
-        *pixel = count(*raw);
-    }
-    pixels
-}
-
-/// The vectors of one register; those beyond it are not used.
-type Vectors<S> = [<S as Simd>::f32s; MOST_VECTORS];
-
-/// Vectors of a register where they are shortest.
-const MOST_VECTORS: usize = 4;
-
-#[inline(always)]
-fn zeros<S: Simd>(simd: S) -> Vectors<S> {
-    [simd.splat_f32s(0.0); MOST_VECTORS]
-}
-
-#[inline(always)]
-fn add_weighted<S: Simd>(
-    simd: S,
-    sums: &mut Vectors<S>,
-    weights: &[f32; REGISTER],
-    pixels: &[f32; REGISTER],
-) {
-    let (weights, pixels) = (S::as_simd_f32s(weights).0, S::as_simd_f32s(pixels).0);
-    for ((sum, weight), pixel) in sums.iter_mut().zip(weights).zip(pixels) {
-        *sum = simd.mul_add_e_f32s(*weight, *pixel, *sum);
-    }
-}
-
-#[inline(always)]
-fn store<S: Simd>(_: S, sums: &Vectors<S>, register: &mut [f32; REGISTER]) {
-    for (target, sum) in S::as_mut_simd_f32s(register).0.iter_mut().zip(sums) {
-        *target = *sum;
+    /// Whether rows and columns of T are counted backwards.
+    #[inline(always)]
+    pub(super) fn flips(&self) -> [bool; 2] {
+        self.flips
     }
 }
 
@@ -350,29 +291,9 @@ fn onto(flipped: i64, side: usize, flips: bool) -> usize {
     if flips { side - 1 - inside } else { inside }
 }
 
-/// Taps of all lanes with one first pixel; from lane to lane the pixels move on by `step`.
-#[inline(always)]
-fn register(weights: &Weights, place: impl Fn(i64) -> f64, step: i64) -> RegisterTaps {
-    let mut places = [(0, 0); REGISTER];
-    for (lane, place_of_lane) in (0..).zip(&mut places) {
-        let (first, phase) = Weights::place(place(lane));
-        *place_of_lane = (first - step * lane, phase);
-    }
-    let first = places.iter().fold(i64::MAX, |least, (first, _)| least.min(*first));
-    let mut register = RegisterTaps { first, ..RegisterTaps::default() };
-    for (lane, (own, phase)) in places.into_iter().enumerate() {
-        // Lanes whose pixels have moved on begin with one of the zeros before the weights.
-        let late = ((own - first) as usize).min(REGISTER_TAPS - TAPS);
-        let taps = &weights.padded(phase)[TAPS - late..];
-        for (register, weight) in register.weights.iter_mut().zip(taps) {
-            register[lane] = *weight;
-        }
-    }
-    register
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::Stretch;
     use super::super::transform::{Affine, Mirror};
     use super::*;
     use proptest::prelude::*;
@@ -380,11 +301,13 @@ mod tests {
     fn resampled(resampler: &Resampler, frame: &[u16]) -> Vec<f32> {
         let [height, width] = resampler.size();
         let mut all = Vec::new();
-        let mut taps = RowTaps::default();
+        let mut stretch = Stretch::default();
+        stretch.begin(resampler, 0..height, (0, width.div_ceil(REGISTER)), 1);
         for y in 0..height {
-            let mut row = vec![0.0; width];
-            resampler.prepare(y as i64, 0, width.div_ceil(REGISTER), &mut taps);
-            resampler.row(pulp::Scalar128b, &mut taps, frame, f32::from, &mut row);
+            let (mut row, reference) = (vec![0.0; width], vec![0.0; width]);
+            stretch.prepare(resampler, y);
+            let target = (&mut row[..], [0]);
+            stretch.rows(pulp::Scalar128b, resampler, (0, [frame]), f32::from, &reference, target);
             all.extend(row);
         }
         all
