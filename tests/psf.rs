@@ -173,7 +173,7 @@ fn the_sub_grids_of_the_data_show_the_widths_of_the_lens() {
 }
 
 #[test]
-fn optics_that_are_not_those_of_the_data_are_told_and_the_measured_width_does_better() {
+fn optics_that_are_not_those_of_the_data_are_told_and_the_true_width_can_be_had() {
     let bench = Bench::new();
     // The analysis believes in an aperture of 1.27.
     let stacks = bench.simulate_changed("wide", "numerical_aperture", "numerical_aperture = 1.0", "2000");
@@ -186,8 +186,6 @@ fn optics_that_are_not_those_of_the_data_are_told_and_the_measured_width_does_be
         let truth = 0.21 * emission_nm / PITCH_NM;
         assert!((sigma_px / truth - 1.0).abs() < 0.02, "{sigma_px} px for {truth} px");
     }
-    let [optics, data] = [&by_default, &chosen].map(|result| bench.crosstalk(result, "wide"));
-    println!("crosstalk {optics:.3} % with the wrong optics, {data:.3} % measured");
 }
 
 #[test]
@@ -203,7 +201,7 @@ fn distance_factors_are_those_of_what_the_pixels_see() {
             assert!((factor / expected - 1.0).abs() < 1e-6, "{factor} for {expected}");
         }
     }
-    // Equal means find nearly the same in the data; the lens alone would be 9 to 14 % off.
+    // Equal means find nearly the same in the data; the lens alone would be 5 to 15 % further off.
     let means = bench.analyze("means", &stacks, &[]);
     for (by_distance, by_mean) in sub_grid_factors(&result).into_iter().zip(sub_grid_factors(&means)) {
         let off = by_distance[1] / by_distance[0] / (by_mean[1] / by_mean[0]) - 1.0;
