@@ -5,15 +5,16 @@ use super::camera_maps::{MapsPlace, UsedMaps, used_maps};
 use super::mixing::{contradiction_warnings, dyes, mixing, species};
 use super::progress::Progress;
 use super::registering::registered;
+use super::widths::{Width, unlike_a_psf};
 use crate::config::AnalysisSettings;
 use crate::reconstruction::{
-    AllCores, ChainSettings, Feed, FeedError, FlatteningKind, Quality, Stages, feed, reconstruct,
+    AllCores, ChainSettings, Feed, FeedError, FlatteningKind, Quality, Stages, feed, finish_species, unmix,
 };
 use crate::sofi::cumulant::{Count, CumulantEngine, CumulantSettings, Drawing, Incomplete};
-use crate::sofi::flattening::estimate_sigma;
 use crate::sofi::grid::VirtualPixelGrid;
 use crate::sofi::linearization::LinearizationSettings;
-use crate::sofi::psf::{Psf, PsfError};
+use crate::sofi::psf::Psf;
+use crate::sofi::psf_width::MeasuredWidth;
 use crate::sofi::spectra::Species;
 use crate::sofi::unmixing::UnmixingMatrix;
 use sofiscope_hal::Region;
@@ -25,9 +26,6 @@ const PAPER_SUBSEQUENCE: u64 = 200;
 
 /// Pixel pitch of the paper's microscope, nanometers.
 const PAPER_PITCH_NM: f64 = 108.0;
-
-/// Emission assumed for the point-spread function of unnamed dyes, nanometers.
-const ASSUMED_EMISSION_NM: f64 = 600.0;
 
 /// Most points of the bleaching curve.
 pub(super) const TRACE_POINTS: u64 = 500;
@@ -83,15 +81,8 @@ pub(super) struct Prepared {
     pub(super) camera_maps: Vec<Option<UsedMaps>>,
     /// Text of the measured shares of the dyes' light that are used.
     pub(super) response: Option<String>,
-}
-
-/// Width of a point-spread function.
-#[derive(Debug, Clone)]
-pub(super) struct Width {
-    /// Standard deviation, camera pixels.
-    pub(super) sigma_px: f64,
-    /// Where it comes from, for the report.
-    pub(super) source: String,
+    /// Width of the point-spread function of R and T on beads, camera pixels.
+    pub(super) bead_widths: Option<[f64; 2]>,
 }
 
 /// Everything that one analysis found.
@@ -103,6 +94,8 @@ pub(super) struct Analysis {
     pub(super) feed: Feed,
     /// Width of the point-spread function per species.
     pub(super) widths: Vec<Width>,
+    /// The same measured in the sub-grids of the data, where they are clear, whether it was used or not.
+    pub(super) measured: Vec<Option<MeasuredWidth>>,
     /// Seconds of each step.
     pub(super) steps: Vec<(String, f64)>,
     pub(super) warnings: Vec<String>,
@@ -121,6 +114,7 @@ impl Prepared {
         let registered = registered(&settings, &source, &camera_maps)?;
         engine.registration = registered.as_ref().map(|registered| registered.settings);
         warnings.extend(registered.iter().flat_map(|registered| registered.warnings.clone()));
+        let bead_widths = registered.as_ref().and_then(|registered| registered.psf_sigma_px);
         let registration = registered.map(|registered| registered.text);
         let grid = engine.checked_grid().map_err(AppError::usage)?;
         if let Some(sigma_px) = settings.psf_sigma_px {
@@ -148,6 +142,7 @@ impl Prepared {
             registration,
             camera_maps,
             response,
+            bead_widths,
         })
     }
 
@@ -188,11 +183,23 @@ impl Prepared {
         self.check_fluctuations(&drawing)?;
         let begun = Instant::now();
         let (stages, widths) = self.stages(&drawing)?;
+        let measured = self.measured_widths(&drawing, stages.as_ref());
         steps.push(("unmixing, flattening, linearization".to_owned(), begun.elapsed().as_secs_f64()));
         let mut warnings = self.warnings.clone();
         warnings.extend(subsequence_warnings(&self.engine, &feed, &drawing));
         warnings.extend(contradiction_warnings(&self, &drawing)?);
-        Ok(Analysis { prepared: self, drawing, stages, feed, widths, steps, warnings, quality: None })
+        warnings.extend(self.width_warnings(&measured));
+        Ok(Analysis {
+            prepared: self,
+            drawing,
+            stages,
+            feed,
+            widths,
+            measured,
+            steps,
+            warnings,
+            quality: None,
+        })
     }
 
     /// Refuses cameras whose pixels never change.
@@ -214,7 +221,8 @@ impl Prepared {
     /// Everything after the cumulants.
     pub(super) fn stages(&self, drawing: &Drawing) -> Result<(Option<Stages>, Vec<Width>), AppError> {
         let Some(matrix) = &self.matrix else { return Ok((None, Vec::new())) };
-        let widths = self.widths(drawing, matrix);
+        let unmixed = unmix(drawing, matrix, &self.settings.unmixing).map_err(AppError::data)?;
+        let widths = self.widths(drawing, matrix, &unmixed);
         let linearization = widths
             .iter()
             .map(|width| {
@@ -236,37 +244,9 @@ impl Prepared {
             },
             linearization,
         };
-        let stages = reconstruct(drawing, &self.grid, &chain).map_err(AppError::data)?;
+        let seen: Vec<f64> = widths.iter().map(|width| width.seen_px).collect();
+        let stages = finish_species(unmixed, &self.grid, &chain, &seen).map_err(AppError::data)?;
         Ok((Some(stages), widths))
-    }
-
-    /// The width of each species' point-spread function in camera pixels: given, from optics, or from the data.
-    pub(super) fn widths(&self, drawing: &Drawing, matrix: &UnmixingMatrix) -> Vec<Width> {
-        let aperture = self.settings.numerical_aperture;
-        let from_optics = |emission_nm: f64| 0.21 * emission_nm / aperture / self.pixel_pitch_nm;
-        let kappa: Vec<_> = drawing.cumulants.iter().map(|image| image.view()).collect();
-        self.species
-            .iter()
-            .enumerate()
-            .map(|(index, species)| {
-                if let Some(sigma_px) = self.settings.psf_sigma_px {
-                    return Width { sigma_px, source: "given".to_owned() };
-                }
-                if let Some(emission_nm) = species.emission_nm {
-                    let source = format!("NA {aperture}, {emission_nm} nm emission");
-                    return Width { sigma_px: from_optics(emission_nm), source };
-                }
-                let unmixed = matrix.unmix(&kappa).ok().map(|mut images| images.swap_remove(index));
-                let estimate = unmixed.and_then(|i| estimate_sigma(&i, &self.grid.squared_distances()).ok());
-                match estimate.filter(|sigma| (0.3..5.0).contains(sigma)) {
-                    Some(sigma_px) => Width { sigma_px, source: "from the sub-grids of the data".to_owned() },
-                    None => {
-                        let source = format!("NA {aperture}, {ASSUMED_EMISSION_NM} nm emission assumed");
-                        Width { sigma_px: from_optics(ASSUMED_EMISSION_NM), source }
-                    }
-                }
-            })
-            .collect()
     }
 }
 
@@ -291,12 +271,6 @@ fn engine_settings(settings: &AnalysisSettings, source: &Source) -> Result<Cumul
         lags: settings.lags.clone(),
         ..CumulantSettings::new(settings.order, source.inputs.len(), subsequence)
     })
-}
-
-fn unlike_a_psf(error: &PsfError) -> AppError {
-    AppError::Usage(format!(
-        "the point-spread function: {error}; check psf_sigma_px, or pixel_pitch_nm and numerical_aperture"
-    ))
 }
 
 /// What the reader must know about subsequences that were left out or counted in part.

@@ -31,6 +31,10 @@ pub(super) struct AnalysisArguments {
     /// Measured shares of the dyes' light, as `calibrate response` writes them
     #[arg(long, value_name = "FILE")]
     response: Option<String>,
+    /// Width of the point-spread function where none is given: optics (aperture and emission) or measured (in the
+    /// data, else on beads) [default: optics]
+    #[arg(long, value_name = "NAME")]
+    psf: Option<String>,
 }
 
 impl AnalysisArguments {
@@ -45,6 +49,7 @@ impl AnalysisArguments {
             registration: self.registration_method.clone(),
             camera_maps: self.camera_maps.clone(),
             response_file: self.response.clone(),
+            psf: self.psf.clone(),
             ..RawAnalysis::default()
         }
     }

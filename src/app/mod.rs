@@ -42,6 +42,7 @@ mod simulated_pixels;
 mod summary;
 mod text_file;
 mod virtual_devices;
+mod widths;
 mod window;
 
 pub use cli::{Arguments, run};

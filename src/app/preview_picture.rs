@@ -119,9 +119,9 @@ fn steps(prepared: &Prepared, snapshot: &Snapshot) -> Result<Option<Steps>, AppE
     let distances = prepared.grid.squared_distances();
     let kappa: Vec<_> = drawing.cumulants.iter().map(|image| image.view()).collect();
     let unmixed = matrix.unmix_with(&prepared.settings.unmixing, &kappa).map_err(AppError::data)?;
-    let widths = prepared.widths(drawing, matrix);
-    let flat = |(image, width): (&Array2<f32>, &super::analysis::Width)| {
-        let kind = Flattening::EqualMeans(PsfWidth::Known(width.sigma_px));
+    let widths = prepared.widths(drawing, matrix, &unmixed);
+    let flat = |(image, width): (&Array2<f32>, &super::widths::Width)| {
+        let kind = Flattening::EqualMeans(PsfWidth::Known(width.seen_px));
         flatten(image, &distances, kind).map(|(flat, _)| flat).map_err(AppError::data)
     };
     let flattened = unmixed.iter().zip(&widths).map(flat).collect::<Result<Vec<_>, _>>()?;

@@ -19,6 +19,8 @@ pub(super) struct Registered {
     /// Text of its file, kept beside the frames.
     pub(super) text: String,
     pub(super) settings: RegistrationSettings,
+    /// Width of the point-spread function of R and T on beads, pixels of R.
+    pub(super) psf_sigma_px: Option<[f64; 2]>,
     pub(super) warnings: Vec<String>,
 }
 
@@ -78,6 +80,7 @@ pub(super) fn registered(
             settings.order
         ));
     }
+    let psf_sigma_px = registration.psf_sigma_px;
     let settings = registration.settings(interpolation).map_err(|reason| refused(&reason))?;
-    Ok(Some(Registered { text, settings, warnings }))
+    Ok(Some(Registered { text, settings, psf_sigma_px, warnings }))
 }

@@ -11,6 +11,7 @@ use crate::report::{
 };
 use crate::sofi::flattening::FlatteningReport;
 use crate::sofi::grid::Combinations;
+use crate::sofi::psf_width::{MeasuredWidth, without_pixels};
 use crate::sofi::unmixing::UnmixingMethod;
 
 /// Fills the report of an analysis.
@@ -117,6 +118,7 @@ fn settings(analysis: &Analysis) -> Settings {
                     format!("{:.3} px ({})", width.sigma_px, width.source),
                 )
             }))
+            .chain(measured_widths(analysis))
             .collect(),
     }
 }
@@ -132,6 +134,29 @@ fn calibrations(prepared: &Prepared) -> Vec<(String, String)> {
         .as_ref()
         .map(|_| ("shares of the dyes' light".to_owned(), "from a file of measured shares".to_owned()));
     maps.filter_map(line).chain(response).collect()
+}
+
+/// What the sub-grids say of each species and beads of each camera, whether it was used or not.
+fn measured_widths(analysis: &Analysis) -> Vec<(String, String)> {
+    let prepared = &analysis.prepared;
+    let in_nm = |px: f64| px * prepared.pixel_pitch_nm;
+    let species = prepared.species.iter().zip(&analysis.measured).map(|(species, seen)| {
+        let width = seen.and_then(MeasuredWidth::without_pixels);
+        let value = width.map_or("not clear enough in these frames".to_owned(), |width| {
+            let (px, error) = (width.sigma_px, width.standard_error_px);
+            format!("{px:.3} px, standard error {error:.3} px ({:.0} nm, standard error {:.1} nm; from sub-grid ratios)",
+                in_nm(px), in_nm(error))
+        });
+        (format!("measured PSF sigma of {}", species.name), value)
+    });
+    let beads = prepared.bead_widths.into_iter().flat_map(|widths| ["R", "T"].into_iter().zip(widths));
+    let beads = beads.map(|(camera, seen)| {
+        let value = without_pixels(seen).map_or("narrower than a pixel".to_owned(), |px| {
+            format!("{px:.3} px ({:.0} nm; from beads of the registration)", in_nm(px))
+        });
+        (format!("measured PSF sigma of camera {camera}"), value)
+    });
+    species.chain(beads).collect()
 }
 
 fn frames(analysis: &Analysis) -> FrameAccount {

@@ -37,6 +37,8 @@ pub struct RawAnalysis {
     pub accelerated: Option<bool>,
     /// Whether the linearized image is blurred with the default width again.
     pub reconvolution: Option<bool>,
+    /// Where the width of the point-spread function comes from where none is given: `optics` or `measured`.
+    pub psf: Option<String>,
     /// Standard deviation of the camera's point-spread function, camera pixels, for all species.
     pub psf_sigma_px: Option<f64>,
     /// Numerical aperture of the objective.
@@ -53,6 +55,20 @@ pub struct RawAnalysis {
     pub camera_maps: Option<Vec<String>>,
     /// File of measured shares of the dyes' light, as a `dichroics.toml`.
     pub response_file: Option<String>,
+}
+
+/// Where the width of the point-spread function comes from where none is given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PsfSource {
+    /// Numerical aperture and emission wavelength; measured for species whose emission is not known.
+    Optics,
+    /// The data themselves, then beads, then the optics: the first that is clear.
+    Measured,
+}
+
+impl PsfSource {
+    /// Names in settings, the default first.
+    pub const NAMES: [(&str, Self); 2] = [("optics", Self::Optics), ("measured", Self::Measured)];
 }
 
 /// Settings that can be believed.
@@ -80,6 +96,8 @@ pub struct AnalysisSettings {
     pub acceleration: Acceleration,
     /// What the linearized image is blurred with.
     pub reconvolution: Reconvolution,
+    /// Where the width of the point-spread function comes from where none is given.
+    pub psf: PsfSource,
     /// Width of the point-spread function, camera pixels.
     pub psf_sigma_px: Option<f64>,
     /// Numerical aperture.
@@ -99,7 +117,7 @@ pub struct AnalysisSettings {
 }
 
 /// Keys of a settings file, see [`RawAnalysis`].
-const KEYS: [&str; 19] = [
+const KEYS: [&str; 20] = [
     "order",
     "subsequence_exposures",
     "combinations",
@@ -111,6 +129,7 @@ const KEYS: [&str; 19] = [
     "iterations",
     "accelerated",
     "reconvolution",
+    "psf",
     "psf_sigma_px",
     "numerical_aperture",
     "pixel_pitch_nm",
@@ -166,6 +185,7 @@ impl RawAnalysis {
             iterations: self.iterations.or(other.iterations),
             accelerated: self.accelerated.or(other.accelerated),
             reconvolution: self.reconvolution.or(other.reconvolution),
+            psf: self.psf.or(other.psf),
             psf_sigma_px: self.psf_sigma_px.or(other.psf_sigma_px),
             numerical_aperture: self.numerical_aperture.or(other.numerical_aperture),
             pixel_pitch_nm: self.pixel_pitch_nm.or(other.pixel_pitch_nm),
@@ -227,6 +247,7 @@ impl TryFrom<RawAnalysis> for AnalysisSettings {
                 Some(false) => Reconvolution::None,
                 _ => Reconvolution::Default,
             },
+            psf: choose(&mut faults, "psf", raw.psf.as_deref(), &PsfSource::NAMES),
             psf_sigma_px: raw.psf_sigma_px,
             numerical_aperture: raw.numerical_aperture.unwrap_or(DEFAULT_NUMERICAL_APERTURE),
             pixel_pitch_nm: raw.pixel_pitch_nm,

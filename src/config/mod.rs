@@ -18,7 +18,7 @@ mod section;
 mod spectra;
 mod tree;
 
-pub use analysis::{AnalysisFaults, AnalysisSettings, RawAnalysis};
+pub use analysis::{AnalysisFaults, AnalysisSettings, PsfSource, RawAnalysis};
 pub use camera_calibration::{CameraCalibration, CameraCalibrationFaults};
 pub use dyes::{Catalogue, CatalogueError, Dichroic, DyeError, Fluorophore};
 pub use instrument::{

@@ -33,6 +33,8 @@ pub struct Registration {
     pub residual_px: f64,
     /// Noise of camera T.
     pub noise: Option<NoiseLine>,
+    /// Width of the point-spread function of R and T on beads, standard deviation in pixels of R, where it was measured.
+    pub psf_sigma_px: Option<[f64; 2]>,
     /// The points that were used, in T as its camera gives it and in R, `[y, x]`.
     pub points: Vec<[[f64; 2]; 2]>,
     /// Points that were found in both cameras and do not fit.
@@ -91,6 +93,9 @@ impl Registration {
             self.residual_px * self.pixel_pitch_nm,
             self.points_left_out,
         );
+        if let Some(widths) = self.psf_sigma_px {
+            let _ = writeln!(text, "psf_sigma_px = {widths:?}");
+        }
         for (key, camera) in [("reflected_points_px", 1), ("transmitted_points_px", 0)] {
             if self.points.is_empty() {
                 continue;
@@ -180,6 +185,7 @@ fn whole(form: &Form<'_>) -> Registration {
             noise.finish();
             line
         }),
+        psf_sigma_px: form.pair_if_any("psf_sigma_px", 0.1..=100.0),
         points: points(form),
         points_left_out: form.whole("points_left_out", 0..=u64::MAX) as usize,
     };
@@ -222,6 +228,7 @@ mod tests {
             pixel_pitch_nm: 108.0,
             residual_px: 0.05,
             noise: Some(NoiseLine { slope: 2.174, at_zero: -208.0 }),
+            psf_sigma_px: Some([0.98, 1.1]),
             points: vec![[[1.5, 2.25], [3.0, 4.0]], [[10.0, 20.0], [30.0, 40.0]]],
             points_left_out: 3,
         }
@@ -229,7 +236,9 @@ mod tests {
 
     #[test]
     fn what_is_written_is_read() {
-        for registration in [example(), Registration { noise: None, points: Vec::new(), ..example() }] {
+        for registration in
+            [example(), Registration { noise: None, psf_sigma_px: None, points: Vec::new(), ..example() }]
+        {
             assert_eq!(Registration::from_toml(&registration.to_toml()).unwrap(), registration);
         }
     }

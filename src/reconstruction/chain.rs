@@ -27,7 +27,7 @@ pub struct ChainSettings {
     pub method: UnmixingMethod,
     /// How sub-grids are weighted.
     pub flattening: FlatteningKind,
-    /// How each species is linearized; also gives the width of its point-spread function.
+    /// How each species is linearized; [`reconstruct`] takes the width for flattening from here as well.
     pub linearization: Vec<LinearizationSettings>,
 }
 
@@ -75,15 +75,43 @@ pub fn reconstruct(
     grid: &VirtualPixelGrid,
     settings: &ChainSettings,
 ) -> Result<Stages, ReconstructionError> {
-    let species = settings.matrix.species().len();
-    if settings.linearization.len() != species {
-        return Err(ReconstructionError::Settings { species, settings: settings.linearization.len() });
-    }
+    let widths: Vec<f64> = settings.linearization.iter().map(|species| species.psf.sigma()).collect();
+    finish_species(unmix(drawing, &settings.matrix, &settings.method)?, grid, settings, &widths)
+}
+
+/// Step 3 alone: one image per species.
+///
+/// # Errors
+/// [`ReconstructionError::Unmixing`].
+pub fn unmix(
+    drawing: &Drawing,
+    matrix: &UnmixingMatrix,
+    method: &UnmixingMethod,
+) -> Result<Vec<Array2<f32>>, ReconstructionError> {
     let kappa: Vec<_> = drawing.cumulants.iter().map(|image| image.view()).collect();
-    let unmixed = settings.matrix.unmix_with(&settings.method, &kappa)?;
+    Ok(matrix.unmix_with(method, &kappa)?)
+}
+
+/// Steps 4 and 5 for images of species that are unmixed already; `seen_sigma_px` are the widths that the distance factors
+/// of their sub-grids follow, standard deviation in camera pixels, the pixels' own width included.
+///
+/// # Errors
+/// [`ReconstructionError`] of the first step that cannot be done.
+pub fn finish_species(
+    unmixed: Vec<Array2<f32>>,
+    grid: &VirtualPixelGrid,
+    settings: &ChainSettings,
+    seen_sigma_px: &[f64],
+) -> Result<Stages, ReconstructionError> {
+    let species = unmixed.len();
+    for settings in [settings.linearization.len(), seen_sigma_px.len()] {
+        if settings != species {
+            return Err(ReconstructionError::Settings { species, settings });
+        }
+    }
     let distances = grid.squared_distances();
-    let finish = |(image, linearization): (&Array2<f32>, &LinearizationSettings)| {
-        let width = PsfWidth::Known(linearization.psf.sigma());
+    let finish = |((image, linearization), &seen): ((&Array2<f32>, &LinearizationSettings), &f64)| {
+        let width = PsfWidth::Known(seen);
         let kind = match settings.flattening {
             FlatteningKind::EqualMeans => Flattening::EqualMeans(width),
             FlatteningKind::DistanceFactor => Flattening::DistanceFactor(width),
@@ -92,8 +120,12 @@ pub fn reconstruct(
         let linear = linearize(&flat, grid.order(), linearization)?;
         Ok::<_, ReconstructionError>((flat, report, linear))
     };
-    let finished: Vec<_> =
-        unmixed.par_iter().zip(&settings.linearization).map(finish).collect::<Result<_, _>>()?;
+    let finished: Vec<_> = unmixed
+        .par_iter()
+        .zip(&settings.linearization)
+        .zip(seen_sigma_px)
+        .map(finish)
+        .collect::<Result<_, _>>()?;
     let mut stages =
         Stages { unmixed, flattened: Vec::new(), flattening: Vec::new(), linearized: Vec::new() };
     for (flat, report, linear) in finished {

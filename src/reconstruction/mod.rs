@@ -12,7 +12,9 @@ mod preview;
 mod quality;
 mod workers;
 
-pub use chain::{ChainSettings, FlatteningKind, ReconstructionError, Stages, reconstruct};
+pub use chain::{
+    ChainSettings, FlatteningKind, ReconstructionError, Stages, finish_species, reconstruct, unmix,
+};
 pub use feed::{BLOCK, Feed, FeedError, feed};
 pub use live::{LiveAnalysis, LiveReport};
 pub use look::{CameraLook, HISTOGRAM_BINS, OneCamera, PixelMap, SofiLook, SofiStage, StageImage};

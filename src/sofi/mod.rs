@@ -8,7 +8,7 @@
 //! | 2: running spatio-temporal and spectral cross-cumulants | [`cumulant`] | Eq. 2, S2, S4 |
 //! | 3: species from spectral channels | [`unmixing`], [`spectra`], [`response`] | Eq. 2, S2, Table S1 |
 //! | which dyes and which dichroic | [`dye_choice`] | Fig. S2, Table S1 |
-//! | 4: equal weights for the shifted sub-grids | [`flattening`], [`psf`] | Eq. S6 |
+//! | 4: equal weights for the shifted sub-grids | [`flattening`], [`psf`], [`psf_width`] | Eq. S6 |
 //! | 5: brightness that is linear again | [`linearization`], [`convolution`] | main text, step 5 |
 //! | on-time ratio, brightness and density from three orders | [`balancing`] | bSOFI |
 //! | signal-to-noise, resolution, bleaching while frames come in | [`quality`] | |
@@ -25,6 +25,7 @@ pub mod grid;
 pub mod linearization;
 mod prefetch;
 pub mod psf;
+pub mod psf_width;
 pub mod quality;
 pub mod registration;
 pub mod response;

@@ -11,6 +11,7 @@ use crate::app::residual_map::residual_map;
 use crate::config::{Instrument, Registration};
 use crate::display::PngNotes;
 use crate::files::ImageStack;
+use crate::sofi::psf_width::{from_beads, without_pixels};
 use crate::sofi::registration::{NoiseLine, find_beads, match_beads};
 use sofiscope_hal::Channel;
 use std::path::{Path, PathBuf};
@@ -43,6 +44,9 @@ pub(super) struct RegistrationArguments {
     /// Size of a camera pixel in the sample, nanometers
     #[arg(long)]
     pixel_nm: Option<f64>,
+    /// Diameter of the beads, nanometers; taken off the width of the point-spread function, 0 for points
+    #[arg(long, default_value_t = 200.0)]
+    bead_nm: f64,
     /// Print one object on stdout
     #[arg(long)]
     json: bool,
@@ -60,14 +64,22 @@ pub(super) enum Method {
 /// # Errors
 /// [`AppError`]: what is wrong with the arguments, the frames or the disk; then nothing is written.
 pub(super) fn run(arguments: &RegistrationArguments) -> Result<(), AppError> {
+    if !(0.0..=10_000.0).contains(&arguments.bead_nm) {
+        return Err(AppError::Usage(format!(
+            "beads of {} nm make no sense; give --bead-nm from 0 to 10000, in nanometers",
+            arguments.bead_nm
+        )));
+    }
     let picture_path = arguments.out.with_extension("png");
     vacant([&arguments.out, &picture_path])?;
     let instrument = arguments.instrument.as_deref().map(instrument).transpose()?;
     let mut stacks = both(arguments)?;
     let [statistics_r, statistics_t] = statistics(&mut stacks)?;
+    let mut all_beads = None;
     let found = match arguments.method {
         Method::Beads => {
             let beads = [&statistics_r, &statistics_t].map(|s| find_beads(&s.mean.view()));
+            let beads = all_beads.insert(beads);
             let size = <[usize; 2]>::from(statistics_r.mean.dim());
             match_beads(&beads[0], &beads[1], size).map_err(AppError::data)?
         }
@@ -92,6 +104,12 @@ pub(super) fn run(arguments: &RegistrationArguments) -> Result<(), AppError> {
         pixel_pitch_nm,
         residual_px: found.residual_px,
         noise,
+        psf_sigma_px: all_beads.and_then(|beads| {
+            let diameter_px = arguments.bead_nm / pixel_pitch_nm;
+            let [r, t] = beads.map(|beads| from_beads(&beads, diameter_px).map(|width| width.sigma_px));
+            // A pixel of T is so many pixels of R.
+            Some([r?, t? * found.transform.scale()])
+        }),
         points: Registration::points_of(&found.pairs, &found.transform),
         points_left_out: found.outliers,
     };
@@ -144,6 +162,8 @@ struct Told<'a> {
     points: usize,
     points_left_out: usize,
     noise_is_known: bool,
+    /// Width of the point-spread function of R and T with that of the pixels, standard deviation in pixels of R.
+    psf_sigma_px: Option<[f64; 2]>,
 }
 
 fn tell(registration: &Registration, file: &Path, map: &Path, json: bool) -> Result<(), AppError> {
@@ -175,6 +195,7 @@ fn tell(registration: &Registration, file: &Path, map: &Path, json: bool) -> Res
             points: points.len(),
             points_left_out: *points_left_out,
             noise_is_known: registration.noise.is_some(),
+            psf_sigma_px: registration.psf_sigma_px,
         };
         println!("{}", serde_json::to_string(&told).map_err(AppError::data)?);
         return Ok(());
@@ -186,6 +207,13 @@ fn tell(registration: &Registration, file: &Path, map: &Path, json: bool) -> Res
         shift[1]
     );
     println!("residual {residual_nm:.1} nm over {} points, {points_left_out} left out", points.len());
+    if let Some([Some(r), Some(t)]) = registration.psf_sigma_px.map(|widths| widths.map(without_pixels)) {
+        println!(
+            "width of the point-spread function on beads: {:.1} nm (R), {:.1} nm (T), standard deviation",
+            r * pixel_pitch_nm,
+            t * pixel_pitch_nm
+        );
+    }
     println!("wrote {} and {}", file.display(), map.display());
     Ok(())
 }
