@@ -1,5 +1,7 @@
 //! The bench behind the window, driven as a window drives it, with the simulated microscope.
 
+mod registration;
+
 use super::bench::LocalBench;
 use crate::reconstruction::SofiStage;
 use crate::viewer::bench::{Activity, Bench, BenchCommand, BenchStatus, Gravity, LiveSettings};
@@ -145,7 +147,11 @@ fn the_stage_moves_the_sample_and_refuses_what_is_outside() {
     // A slow computer averages pixels of the picture; both are compared with 4 x 4 pixels averaged.
     let [before, after] = [before, after].map(|image| {
         let [height, width] = [image.nrows() / 18, image.ncols() / 18];
-        assert_eq!([18 * height, 18 * width], [image.nrows(), image.ncols()], "72 pixels divide into pictures");
+        assert_eq!(
+            [18 * height, 18 * width],
+            [image.nrows(), image.ncols()],
+            "72 pixels divide into pictures"
+        );
         Array2::from_shape_fn((18, 18), |(y, x)| {
             let [y, x] = [y * height, x * width];
             f64::from(image.slice(s![y..y + height, x..x + width]).mean().unwrap())
