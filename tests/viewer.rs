@@ -2,6 +2,8 @@
 
 #[path = "viewer/fake.rs"]
 mod fake;
+#[path = "viewer/registration.rs"]
+mod registration;
 #[path = "viewer/replaying.rs"]
 mod replaying;
 #[path = "viewer/settings.rs"]

@@ -3,8 +3,12 @@
 //! In: nothing. Out: [`BenchStatus`] and [`Pictures`] as data, [`BenchCommand`]s, the trait [`Bench`] between both.
 //! Never: waits, talks to a device. Fails: a command that cannot be taken says so.
 
+mod registration;
 mod status;
 
+pub use registration::{
+    FoundRegistration, RegisterBy, RegistrationAsk, RegistrationStatus, RegistrationStep,
+};
 pub use status::{
     Activity, BenchStatus, DeviceCard, Event, FocusStatus, Gravity, InstrumentCard, LaserStatus, PropertyRow,
     ReplayStatus, RunNumbers, StageStatus,
@@ -110,6 +114,8 @@ pub enum BenchCommand {
     },
     /// Write the images of the last run or live view as they are now into a new directory.
     SaveResults(PathBuf),
+    /// Something of the registration of the cameras.
+    Registration(RegistrationAsk),
     /// Change a property of a camera, see [`DeviceCard::properties`]; refused unless nothing is under way.
     SetProperty {
         /// Role of the device.

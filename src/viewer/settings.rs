@@ -13,16 +13,19 @@ pub enum Side {
     Plan,
     /// Lasers, stage, focus, properties.
     Devices,
+    /// Registration of the cameras.
+    Align,
     /// Replay and recent recordings.
     Replay,
 }
 
 impl Side {
     /// All of them with their names.
-    pub const ALL: [(Self, &'static str); 4] = [
+    pub const ALL: [(Self, &'static str); 5] = [
         (Self::Live, "Live view"),
         (Self::Plan, "Plan"),
         (Self::Devices, "Instrument"),
+        (Self::Align, "Align"),
         (Self::Replay, "Replay"),
     ];
 }

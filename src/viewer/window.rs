@@ -195,7 +195,8 @@ impl Window {
     fn side(&mut self, ui: &mut Ui, status: &BenchStatus, wishes: &mut Wishes) {
         Panel::right("side").default_size(310.0).min_size(280.0).show(ui, |ui| {
             ui.add_space(4.0);
-            ui.horizontal(|ui| {
+            ui.horizontal_wrapped(|ui| {
+                ui.spacing_mut().item_spacing.x = 5.0;
                 for (side, name) in Side::ALL {
                     ui.selectable_value(&mut self.settings.side, side, RichText::new(name).size(14.5));
                 }
@@ -211,6 +212,7 @@ impl Window {
                     Side::Live => panels::live(ui, status, card, forms, &self.presets, wishes),
                     Side::Plan => panels::plan(ui, status, card, &mut forms.plan, wishes),
                     Side::Devices => panels::instrument(ui, status, card, forms, wishes),
+                    Side::Align => panels::registration(ui, status, &mut forms.registration, wishes),
                     Side::Replay => panels::replay(ui, status, &mut forms.replay, wishes),
                 }
             });

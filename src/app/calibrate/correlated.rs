@@ -1,10 +1,10 @@
 //! The registration by what blinks together, coarse to fine.
 //!
-//! In: stacks of both cameras. Out: where camera R sees what camera T sees. Never: keeps more than a block of frames.
+//! In: frames of both cameras. Out: where camera R sees what camera T sees. Never: keeps more than a block of frames.
 //! Fails: [`AppError`] where nothing blinks together.
 
+use super::frames::Frames;
 use crate::app::AppError;
-use crate::files::ImageStack;
 use crate::sofi::registration::{
     BeadMatch, CoarseCorrelation, PatchCorrelation, ReflectedFromTransmitted, root_mean_square, shifted,
     without_outliers,
@@ -19,13 +19,13 @@ const COARSE_SIDE: usize = 256;
 /// Rounds of finer correlation, each around the map of the one before.
 const ROUNDS: usize = 3;
 /// Blocks of frames of both cameras, as long as there are any.
-fn blocks(
-    stacks: &mut [ImageStack],
+fn blocks<F: Frames>(
+    stacks: &mut [F],
     mut work: impl FnMut(&[&[u16]], &[&[u16]]) -> bool,
 ) -> Result<(), AppError> {
-    let pixels = stacks[0].info().height * stacks[0].info().width;
+    let pixels = stacks[0].size().iter().product();
     let mut memory = vec![vec![vec![0u16; pixels]; BLOCK]; 2];
-    stacks.iter_mut().try_for_each(|stack| stack.seek(0))?;
+    stacks.iter_mut().try_for_each(Frames::rewind)?;
     loop {
         let mut read = 0;
         for frame in 0..BLOCK {
@@ -50,14 +50,14 @@ fn blocks(
 }
 
 /// The registration by what blinks together.
-pub(super) fn correlated(stacks: &mut [ImageStack]) -> Result<BeadMatch, AppError> {
+pub(super) fn correlated<F: Frames>(stacks: &mut [F]) -> Result<BeadMatch, AppError> {
     let nothing = || {
         AppError::data(
             "nothing fluctuates together in both cameras; record a blinking sample that both cameras see, \
              with more frames or more light, or use --method beads",
         )
     };
-    let size = [stacks[0].info().height, stacks[0].info().width];
+    let size = stacks[0].size();
     let square = size[0].max(size[1]).div_ceil(COARSE_SIDE);
     let small = size.map(|side| side / square);
     let mut coarse = CoarseCorrelation::new(small);

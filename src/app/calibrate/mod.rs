@@ -2,7 +2,7 @@
 //!
 //! | what | file |
 //! |---|---|
-//! | where camera R sees what camera T sees | `registration.rs`, `correlated.rs`, `statistics.rs` |
+//! | where camera R sees what camera T sees | `registration.rs`, `found.rs`, `correlated.rs`, `statistics.rs`, `frames.rs` |
 //! | offset, gain, read noise and faults of every pixel | `camera.rs` |
 //! | shares of each dye's light in both cameras | `response.rs` |
 //!
@@ -11,6 +11,8 @@
 
 mod camera;
 mod correlated;
+pub(super) mod found;
+pub(super) mod frames;
 mod registration;
 mod response;
 mod source;

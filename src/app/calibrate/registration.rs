@@ -3,21 +3,15 @@
 //! In: frames of both cameras. Out: a registration file and a picture of its residuals.
 //! Never: overwrites a file, writes a registration that does not fit. Fails: [`AppError`] with what to change.
 
-use super::correlated::correlated;
-use super::statistics::{flat, statistics};
+use super::found::{BEAD_NM, Cameras, LARGE_RESIDUAL_NM, Method, find};
 use super::{instrument, open, vacant};
 use crate::app::AppError;
-use crate::app::residual_map::residual_map;
 use crate::config::{Instrument, Registration};
-use crate::display::PngNotes;
 use crate::files::ImageStack;
-use crate::sofi::psf_width::{from_beads, without_pixels};
-use crate::sofi::registration::{NoiseLine, find_beads, match_beads};
+use crate::sofi::psf_width::without_pixels;
 use sofiscope_hal::Channel;
 use std::path::{Path, PathBuf};
 
-/// Residuals above this are worth a warning, nanometers.
-const LARGE_RESIDUAL_NM: f64 = 20.0;
 /// Pixel pitch where nothing says it, nanometers.
 const ASSUMED_PITCH_NM: f64 = 108.0;
 
@@ -45,18 +39,11 @@ pub(super) struct RegistrationArguments {
     #[arg(long)]
     pixel_nm: Option<f64>,
     /// Diameter of the beads, nanometers; taken off the width of the point-spread function, 0 for points
-    #[arg(long, default_value_t = 200.0)]
+    #[arg(long, default_value_t = BEAD_NM)]
     bead_nm: f64,
     /// Print one object on stdout
     #[arg(long)]
     json: bool,
-}
-
-/// How a registration is found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub(super) enum Method {
-    Beads,
-    Correlation,
 }
 
 /// Runs `calibrate registration`.
@@ -70,59 +57,19 @@ pub(super) fn run(arguments: &RegistrationArguments) -> Result<(), AppError> {
             arguments.bead_nm
         )));
     }
-    let picture_path = arguments.out.with_extension("png");
-    vacant([&arguments.out, &picture_path])?;
+    vacant([&arguments.out, &arguments.out.with_extension("png")])?;
     let instrument = arguments.instrument.as_deref().map(instrument).transpose()?;
     let mut stacks = both(arguments)?;
-    let [statistics_r, statistics_t] = statistics(&mut stacks)?;
-    let mut all_beads = None;
-    let found = match arguments.method {
-        Method::Beads => {
-            let beads = [&statistics_r, &statistics_t].map(|s| find_beads(&s.mean.view()));
-            let beads = all_beads.insert(beads);
-            let size = <[usize; 2]>::from(statistics_r.mean.dim());
-            match_beads(&beads[0], &beads[1], size).map_err(AppError::data)?
-        }
-        Method::Correlation => correlated(&mut stacks)?,
-    };
-    let noise = match arguments.method {
-        // Beads do not blink, so what their pixels do in time is noise.
-        Method::Beads => NoiseLine::fit(flat(&statistics_t.mean), flat(&statistics_t.variance)),
-        Method::Correlation => statistics_t.noise_between_pixels(),
-    };
     let pitch = instrument.as_ref().map(Instrument::pixel_pitch_nm);
     let file_pitch = stacks[0].info().pixel_size_nm.map(|[x, _]| x);
     let pixel_pitch_nm = arguments.pixel_nm.or(pitch).or(file_pitch).unwrap_or(ASSUMED_PITCH_NM);
     let serials = Channel::BOTH.map(|channel| {
         instrument.as_ref().and_then(|i| i.camera(channel)).and_then(|camera| camera.serial.clone())
     });
-    let registration = Registration {
-        method: if arguments.method == Method::Beads { "beads" } else { "correlation" }.to_owned(),
-        date: jiff::Timestamp::now().to_string(),
-        serials,
-        transform: found.transform,
-        pixel_pitch_nm,
-        residual_px: found.residual_px,
-        noise,
-        psf_sigma_px: all_beads.and_then(|beads| {
-            let diameter_px = arguments.bead_nm / pixel_pitch_nm;
-            let [r, t] = beads.map(|beads| from_beads(&beads, diameter_px).map(|width| width.sigma_px));
-            // A pixel of T is so many pixels of R.
-            Some([r?, t? * found.transform.scale()])
-        }),
-        points: Registration::points_of(&found.pairs, &found.transform),
-        points_left_out: found.outliers,
-    };
-    Registration::from_toml(&registration.to_toml()).map_err(AppError::data)?;
-    let map = residual_map(&statistics_r.mean, &registration).map_err(AppError::data)?;
-    let notes = PngNotes {
-        title: Some("Residuals of the registration of camera T onto camera R".to_owned()),
-        pixel_pitch_nm: Some(pixel_pitch_nm),
-    };
-    map.write_png(&picture_path, &notes).map_err(AppError::data)?;
-    std::fs::write(&arguments.out, registration.to_toml())
-        .map_err(|error| AppError::Usage(format!("{}: {error}", arguments.out.display())))?;
-    tell(&registration, &arguments.out, &picture_path, arguments.json)
+    let found =
+        find(&mut stacks, arguments.method, Cameras { pixel_pitch_nm, serials, bead_nm: arguments.bead_nm })?;
+    let picture_path = found.write(&arguments.out)?;
+    tell(&found.registration, &arguments.out, &picture_path, arguments.json)
 }
 
 /// The stacks of both cameras, frame by frame.

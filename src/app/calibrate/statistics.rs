@@ -1,9 +1,9 @@
 //! What the frames of both cameras are like: mean, variance over time, grain.
 //!
-//! In: stacks, read once. Out: [`Statistics`] per camera. Never: keeps a frame. Fails: [`AppError`] of the files.
+//! In: frames, read once. Out: [`Statistics`] per camera. Never: keeps a frame. Fails: [`AppError`] of the files.
 
+use super::frames::Frames;
 use crate::app::AppError;
-use crate::files::ImageStack;
 use crate::sofi::registration::NoiseLine;
 use ndarray::Array2;
 
@@ -46,15 +46,15 @@ pub(super) fn flat(image: &Array2<f32>) -> &[f32] {
 }
 
 /// Reads all frames once.
-pub(super) fn statistics(stacks: &mut [ImageStack]) -> Result<[Statistics; 2], AppError> {
-    let (height, width) = (stacks[0].info().height, stacks[0].info().width);
-    let of = |stack: &mut ImageStack| -> Result<Statistics, AppError> {
+pub(super) fn statistics<F: Frames>(stacks: &mut [F]) -> Result<[Statistics; 2], AppError> {
+    let [height, width] = stacks[0].size();
+    let of = |stack: &mut F| -> Result<Statistics, AppError> {
         let mut counts = vec![0u16; height * width];
         let (mut sums, mut squares) = (vec![0.0; counts.len()], vec![0.0; counts.len()]);
         let grain_size = (height.saturating_sub(3), width.saturating_sub(3));
         let mut grain = Array2::<f64>::zeros(grain_size);
         let mut frames = 0.0;
-        stack.seek(0)?;
+        stack.rewind()?;
         while stack.read_counts(&mut counts)? {
             frames += 1.0;
             for ((sum, square), &count) in sums.iter_mut().zip(&mut squares).zip(&counts) {

@@ -4,6 +4,7 @@
 //! Never: waits. Fails: [`Refused`] when the session is busy with too many earlier commands.
 
 use super::recent;
+use super::registering;
 use super::save::keep_picture;
 use super::session::{Asked, Session, judge, speed_of};
 use super::shared::Shared;
@@ -124,6 +125,10 @@ impl Bench for LocalBench {
             BenchCommand::Seek(exposure) => self.seek(exposure),
             BenchCommand::Focus(asked) => {
                 self.ask_focus(asked, &activity);
+                Ok(())
+            }
+            BenchCommand::Registration(asked) => {
+                registering::obey(&self.shared, asked);
                 Ok(())
             }
             BenchCommand::SetProperty { device, property, .. } if *activity != Activity::Idle => {

@@ -14,6 +14,7 @@ pub(super) mod board;
 mod card;
 mod numbers;
 mod recent;
+mod registering;
 mod save;
 mod session;
 mod shared;

@@ -12,9 +12,10 @@ pub(super) use replay::{UnderWay, speed_of};
 use super::board::Onlooker;
 use super::card;
 use super::numbers::{Counter, RunOutline};
+use super::registering::{Used, in_words};
 use super::shared::Shared;
 use crate::app::AppError;
-use crate::app::analysis::Prepared;
+use crate::app::analysis::{Prepared, Source};
 use crate::app::analysis_note::AnalysisNote;
 use crate::app::instrument::{About, MOST_BYTES, OpenInstrument, Sample};
 use crate::app::live_path::{PathOptions, SeriesResult, reason_text};
@@ -29,6 +30,7 @@ use crate::control::run_state::RunPhase;
 use crate::control::sequencer::{Command, Devices, Status};
 use crate::files::free_bytes;
 use crate::viewer::bench::{Activity, BenchCommand, Gravity, LiveSettings, RunNumbers};
+use arc_swap::ArcSwapOption;
 use crossbeam_channel::Receiver;
 use sofiscope_hal::Region;
 use std::collections::BTreeMap;
@@ -55,6 +57,29 @@ pub(super) struct Known {
     /// Its file.
     text: String,
     about: About,
+    /// The registration that the next live view and run go by, where it is not the instrument's own.
+    pub(super) registered: ArcSwapOption<Used>,
+    /// The instrument's own, for people.
+    own_registration: Option<String>,
+}
+
+impl Known {
+    /// Serial numbers of cameras R and T.
+    pub(super) fn serials(&self) -> [Option<String>; 2] {
+        self.about.facts.identities.each_ref().map(|identity| Some(identity.serial.clone()))
+    }
+
+    /// What the next live view and run go by, for people.
+    pub(super) fn registration_in_words(&self) -> Option<String> {
+        let used = self.registered.load_full().map(|used| used.words.clone());
+        used.or_else(|| self.own_registration.clone())
+    }
+
+    /// The source with the registration that is used.
+    fn with_registration(&self, source: Source) -> Source {
+        let registration = self.registered.load_full().map(|used| used.text.clone());
+        Source { registration: registration.or(source.registration), ..source }
+    }
 }
 
 /// The thread's own.
@@ -113,6 +138,7 @@ impl Session {
             | BenchCommand::ReplaySpeed(_)
             | BenchCommand::Seek(_)
             | BenchCommand::Focus(_)
+            | BenchCommand::Registration(_)
             | BenchCommand::Finish
             | BenchCommand::MoveStage { .. } => Ok(()),
         }
@@ -125,6 +151,7 @@ impl Session {
         self.shared.lasers.store(Arc::default());
         self.shared.watch_focus(None, None);
         self.devices = None;
+        self.shared.registrar.leave();
         if let Some(known) = self.shared.known.swap(None) {
             self.shared.tell(Gravity::Note, format!("{} is closed", known.instrument.name()));
         }
@@ -153,7 +180,9 @@ impl Session {
         self.shared.lights.store(about.lights.clone().map(Arc::new));
         self.shared.card.store(Some(Arc::new(card)));
         self.watch_lights(&instrument);
-        let known = Known { instrument, text, about };
+        let own = about.source_of(None, Duration::ZERO, None).registration;
+        let own_registration = own.map(|text| in_words(&text));
+        let known = Known { instrument, text, about, registered: ArcSwapOption::empty(), own_registration };
         self.shared.known.store(Some(Arc::new(known)));
         self.devices = Some(devices);
         Ok(())
@@ -375,7 +404,7 @@ fn prepare_live(known: &Known, settings: &LiveSettings) -> Result<Prepared, AppE
         numerical_aperture: known.instrument.numerical_aperture(),
         ..RawAnalysis::default()
     };
-    let source = known.about.source_of(region_of(settings), settings.exposure, None);
+    let source = known.with_registration(known.about.source_of(region_of(settings), settings.exposure, None));
     Prepared::new(AnalysisSettings::try_from(raw).map_err(AppError::usage)?, source)
 }
 
@@ -390,7 +419,7 @@ pub(super) fn judge(known: &Known, text: &str, out: &Path) -> Result<(Plan, Prep
         let list: Vec<String> = misfits.iter().map(ToString::to_string).collect();
         return Err(AppError::Usage(list.join("\n")));
     }
-    let source = known.about.source(&plan);
+    let source = known.with_registration(known.about.source(&plan));
     let settings = AnalysisSettings::try_from(plan.analysis().clone()).map_err(AppError::usage)?;
     let prepared = Prepared::new(settings, source.clone())?;
     let facts = known.about.facts(&plan, &source, &prepared, out, None)?;

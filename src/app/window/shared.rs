@@ -5,6 +5,7 @@
 
 use super::board::Board;
 use super::recent;
+use super::registering::Registrar;
 use super::save::save_look;
 use super::session::{Known, UnderWay};
 use crate::acquisition::FocusGauge;
@@ -50,6 +51,8 @@ pub(super) struct Shared {
     pub(super) stops: AtomicU64,
     /// Whether no hardware is behind what the board shows.
     pub(super) is_simulated: AtomicBool,
+    /// The registration of the cameras from live frames.
+    pub(super) registrar: Registrar,
     events: ArcSwap<Vec<Event>>,
     writing: Mutex<()>,
     /// The replay under way.
@@ -77,6 +80,7 @@ impl Shared {
             to_sequencer,
             stops: AtomicU64::new(0),
             is_simulated: AtomicBool::new(false),
+            registrar: Registrar::default(),
             events: ArcSwap::default(),
             writing: Mutex::default(),
             replay: ArcSwapOption::empty(),
@@ -176,6 +180,7 @@ impl Shared {
             stage: self.stage.load_full().and_then(|stage| stage_status(&stage)),
             lasers: self.lasers.load().as_ref().clone(),
             focus: self.focus.load_full().map(|gauge| self.focus_status(&gauge)),
+            registration: self.registrar.status(self.known.load_full().as_deref()),
             replay: self.replay.load_full().map(|replay| replay.status(self.run.load().exposures)),
             events: self.events.load_full(),
             recent: self.recent.load_full(),

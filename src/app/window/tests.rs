@@ -1,5 +1,7 @@
 //! The bench behind the window, driven as a window drives it, with the simulated microscope.
 
+mod registration;
+
 use super::bench::LocalBench;
 use crate::reconstruction::SofiStage;
 use crate::viewer::bench::{Activity, Bench, BenchCommand, BenchStatus, Gravity, LiveSettings};

@@ -2,6 +2,7 @@
 //!
 //! In: nothing. Out: [`BenchStatus`] and its parts. Never: waits, holds pixels. Fails: not at all.
 
+use super::registration::RegistrationStatus;
 use crate::reconstruction::Quality;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -24,6 +25,8 @@ pub struct BenchStatus {
     pub lasers: Vec<LaserStatus>,
     /// The focus lock.
     pub focus: Option<FocusStatus>,
+    /// The registration of the cameras.
+    pub registration: RegistrationStatus,
     /// The replay under way.
     pub replay: Option<ReplayStatus>,
     /// What happened, oldest first; the newest 1000.

@@ -12,6 +12,7 @@ mod lasers;
 mod live;
 mod plan;
 mod properties;
+mod registration;
 mod replay;
 mod start;
 mod top;
@@ -22,6 +23,7 @@ pub(super) use bottom::bottom;
 pub(super) use instrument::instrument;
 pub(super) use live::live;
 pub(super) use plan::{plan, run};
+pub(super) use registration::registration;
 pub(super) use replay::replay;
 pub(super) use start::start;
 pub(super) use top::top;
@@ -42,6 +44,7 @@ pub(super) struct Forms {
     pub(super) lasers: lasers::LaserForm,
     pub(super) focus: focus::FocusForm,
     pub(super) properties: properties::PropertyForm,
+    pub(super) registration: registration::RegistrationForm,
 }
 
 /// What the window itself is asked for.
