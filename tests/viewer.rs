@@ -2,6 +2,8 @@
 
 #[path = "viewer/fake.rs"]
 mod fake;
+#[path = "viewer/images.rs"]
+mod images;
 #[path = "viewer/registration.rs"]
 mod registration;
 #[path = "viewer/replaying.rs"]
