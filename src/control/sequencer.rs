@@ -76,6 +76,9 @@ pub struct Patience {
     pub stall: Duration,
     /// Draining is given up after this time.
     pub drain: Duration,
+    /// A series goes on after a pause when no exposure came for this long, and for four periods: those that were on
+    /// their way when it was held are counted then, and are not made once more.
+    pub settle: Duration,
 }
 
 impl Default for Patience {
@@ -84,6 +87,7 @@ impl Default for Patience {
             look: Duration::from_millis(20),
             stall: Duration::from_secs(2),
             drain: Duration::from_secs(10),
+            settle: Duration::from_millis(300),
         }
     }
 }
@@ -135,6 +139,8 @@ struct Series {
     moved: HostTime,
     /// Whether the loss of the focus lock has been told.
     is_unfocused: bool,
+    /// Whether it shall go on as soon as all exposures of before the pause have come.
+    wants_to_go_on: bool,
 }
 
 impl Series {
@@ -150,6 +156,7 @@ impl Series {
             before: Duration::ZERO,
             moved: now,
             is_unfocused: false,
+            wants_to_go_on: false,
         }
     }
 
@@ -223,6 +230,7 @@ impl Sequencer<'_> {
             for input in self.look(series) {
                 self.feed(series, input);
             }
+            self.go_on_when_settled(series);
             if *series.state.phase() == RunPhase::Acquiring
                 && let Err(taken) = self.devices.hold()
             {
@@ -307,7 +315,19 @@ impl Sequencer<'_> {
             tracing::warn!("a pause is not possible where cameras run by themselves; stop the run instead");
             return;
         }
-        self.feed(series, command.into());
+        series.wants_to_go_on = command == Command::Resume && *series.state.phase() == RunPhase::Paused;
+        if !series.wants_to_go_on {
+            self.feed(series, command.into());
+        }
+    }
+
+    fn go_on_when_settled(&mut self, series: &mut Series) {
+        let period = self.devices.period().unwrap_or(series.event.cameras.period);
+        let quiet = self.clock.now().since(series.moved);
+        if series.wants_to_go_on && quiet >= self.patience.settle.max(4 * period) {
+            series.wants_to_go_on = false;
+            self.feed(series, Input::Resume);
+        }
     }
 
     /// What the data path and the clock have to say.

@@ -40,6 +40,8 @@ pub struct Window {
     presets: Presets,
     gestures: Gestures,
     line_um: Option<[[f64; 2]; 2]>,
+    /// Left and top of the region that the live view was asked for last, pixels of the sensor.
+    live_corner: [u32; 2],
     escaped: Option<f64>,
     shows_shortcuts: bool,
     /// What was refused, and when.
@@ -64,6 +66,7 @@ impl Window {
             presets: Presets::default(),
             gestures: Gestures::default(),
             line_um: None,
+            live_corner: [0; 2],
             escaped: None,
             shows_shortcuts: false,
             refused: None,

@@ -30,7 +30,7 @@ fn one(
     pressed: bool,
     modifiers: Modifiers,
 ) {
-    harness.input_mut().modifiers = modifiers;
+    harness.event(Event::ModifiersChanged(modifiers));
     harness.event(Event::PointerMoved(pos));
     harness.event(Event::PointerButton { pos, button, pressed, modifiers });
     harness.run_steps(2);
@@ -43,7 +43,7 @@ fn drag(harness: &mut Harness<'static, Window>, from: Pos2, by: Vec2, keys: Modi
         harness.run_steps(2);
     }
     one(harness, from + by, PointerButton::Primary, false, keys);
-    harness.input_mut().modifiers = Modifiers::NONE;
+    harness.event(Event::ModifiersChanged(Modifiers::NONE));
     harness.run_steps(2);
 }
 
@@ -146,6 +146,9 @@ fn theme_and_size_of_writing_are_chosen_and_kept() {
     click(&mut harness, "View");
     click(&mut harness, "Dark theme");
     assert_eq!(harness.ctx.theme(), Theme::Light);
+    if !says(&harness, "Size of writing") {
+        click(&mut harness, "View");
+    }
     click(&mut harness, "A+");
     assert!((harness.ctx.zoom_factor() - 1.1).abs() < 1e-3, "{}", harness.ctx.zoom_factor());
     let settings = harness.state().settings();

@@ -300,8 +300,7 @@ fn a_run_that_was_held_goes_on_without_a_loss() {
     until(&bench, "the end", is(&Activity::Idle));
     assert!(text_of(&bench.status(), Gravity::Error).is_empty(), "{:?}", bench.status().events);
     let run = bench.status().run.clone();
-    // Exposures on their way when it was held may be given once more than needed.
-    assert!(run.lost.is_empty() && run.exposures >= 3000 && run.pairs == run.exposures, "{run:?}");
+    assert!(run.lost.is_empty() && (run.exposures, run.pairs) == (3000, 3000), "{run:?}");
 }
 
 fn property(bench: &LocalBench, name: &str) -> String {

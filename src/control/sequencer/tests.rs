@@ -153,6 +153,17 @@ fn a_pause_is_dark_and_its_time_does_not_count() {
 }
 
 #[test]
+fn exposures_on_their_way_at_a_pause_are_not_made_again() {
+    // 30 are counted when it is held, 7 more come after the wish to go on.
+    let script = [(3, Command::Pause), (4, Command::Resume)];
+    let bench = Bench { on_their_way: (5, 7), ..Bench::scripted(&script) };
+    let record = bench.run().remove(0);
+    assert_eq!((record.reason, record.exposures), (FinishReason::Completed, 107));
+    let log = bench.log();
+    assert!(log.contains(&"pulses Some(63) every 20 ms".to_owned()), "{log:?}");
+}
+
+#[test]
 fn cameras_without_any_exposure_have_stalled() {
     let bench = Bench { per_look: 0, ..Bench::default() };
     let reason = bench.reason().to_string();

@@ -27,9 +27,9 @@ impl Window {
         let pitch_um = pictures.cameras.as_ref().map(|look| look.pixel_pitch_nm / 1e3);
         if let (Some(rectangle), Some(pitch_um)) = (done.rectangle_um, pitch_um) {
             let [left, top, width, height] = rectangle.map(|um| (um / pitch_um).max(0.0).round() as u32);
-            let offset = self.forms.live.settings.region.unwrap_or_default();
+            let corner = self.live_corner;
             if width > 3 && height > 3 && status.activity != Activity::Run {
-                self.forms.live.settings.region = Some([offset[0] + left, offset[1] + top, width, height]);
+                self.forms.live.settings.region = Some([corner[0] + left, corner[1] + top, width, height]);
             }
         }
         if let (Some(center), Some(stage), Some(look), Some(pitch_um)) =
@@ -91,8 +91,15 @@ impl Window {
     }
 
     fn ask(&mut self, command: BenchCommand) {
-        if let Err(refused) = self.bench.ask(command) {
-            self.refused = Some((refused.to_string(), Instant::now()));
+        let corner = match &command {
+            BenchCommand::Live(settings) => {
+                settings.region.map(|[left, top, ..]| [left, top]).or(Some([0; 2]))
+            }
+            _ => None,
+        };
+        match self.bench.ask(command) {
+            Ok(()) => self.live_corner = corner.unwrap_or(self.live_corner),
+            Err(refused) => self.refused = Some((refused.to_string(), Instant::now())),
         }
     }
 

@@ -194,6 +194,8 @@ impl DataPath for FakePath<'_> {
         self.clock.0.set(self.clock.0.get() + 10 * PERIOD.as_nanos() as u64);
         if self.bench.world.lock().unwrap().pulsing {
             self.exposures = (self.exposures + self.bench.per_look).min(self.bench.last);
+        } else if self.bench.on_their_way.0 == self.looks {
+            self.exposures += self.bench.on_their_way.1;
         }
         let due = self.bench.failure.as_ref().filter(|(look, _)| !self.has_failed && *look <= self.looks);
         let failure = due.map(|(_, error)| error.clone());
@@ -234,6 +236,8 @@ pub(super) struct Bench {
     pub(super) per_look: u64,
     /// No exposure is settled beyond this one.
     pub(super) last: u64,
+    /// At this look come so many exposures of before a pause.
+    pub(super) on_their_way: (u64, u64),
     pub(super) drops_from: u64,
     pub(super) drains_needed: u64,
     pub(super) begin: Begin,
@@ -251,6 +255,7 @@ impl Default for Bench {
             failure: None,
             per_look: 10,
             last: u64::MAX,
+            on_their_way: (u64::MAX, 0),
             drops_from: u64::MAX,
             drains_needed: 1,
             begin: Begin::AtOnce,
