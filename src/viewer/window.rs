@@ -199,9 +199,10 @@ impl Window {
         Panel::right("side").default_size(310.0).min_size(280.0).show(ui, |ui| {
             ui.add_space(4.0);
             ui.horizontal_wrapped(|ui| {
-                ui.spacing_mut().item_spacing.x = 5.0;
+                // All of them in one row of the narrowest side.
+                (ui.spacing_mut().item_spacing.x, ui.spacing_mut().button_padding.x) = (1.0, 5.0);
                 for (side, name) in Side::ALL {
-                    ui.selectable_value(&mut self.settings.side, side, RichText::new(name).size(14.5));
+                    ui.selectable_value(&mut self.settings.side, side, RichText::new(name).size(14.0));
                 }
             });
             ui.separator();

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Far longer than anything here takes.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_secs(300);
 
 /// Looks until something is so; the pause between two looks is a wait for a message that nobody sends.
 fn until<T>(bench: &LocalBench, what: &str, mut look: impl FnMut(&BenchStatus) -> Option<T>) -> T {
@@ -21,7 +21,13 @@ fn until<T>(bench: &LocalBench, what: &str, mut look: impl FnMut(&BenchStatus) -
         if let Some(found) = look(&status) {
             return found;
         }
-        assert!(begun.elapsed() < PATIENCE, "{what} has not come; {:#?}", status.events);
+        assert!(
+            begun.elapsed() < PATIENCE,
+            "{what} has not come while {:?}, {:?}; {:#?}",
+            status.activity,
+            status.registration.step,
+            status.events
+        );
         let _ = crossbeam_channel::after(Duration::from_millis(5)).recv();
     }
 }

@@ -14,6 +14,8 @@ impl Window {
     /// The row above the images: what is shown, in which colors, with which contrast.
     pub(super) fn choose(&self, ui: &mut Ui, pictures: &Pictures, view: &mut View, wishes: &mut Wishes) {
         ui.horizontal_wrapped(|ui| {
+            // In one row of a window of 1280 points.
+            ui.spacing_mut().item_spacing.x = 5.0;
             let sofi = pictures.sofi.as_deref();
             let label = ui.label("Image");
             let images = ComboBox::from_id_salt("image").selected_text(name_of(view.subject, sofi));
