@@ -47,7 +47,7 @@ pub(super) fn compose_and_look(prepared: &Prepared, snapshot: &Snapshot) -> (Pre
             images.push(StageImage { stage, name, image, pixel_pitch_nm });
         }
     };
-    // Means are never averaged over squares: they cost nothing.
+    // Pixels of the mean, whatever squares it was averaged over.
     let mean_nm = drawing.means.first().map_or(camera_nm, |mean| {
         prepared.pixel_pitch_nm * prepared.source.width as f64 / mean.ncols().max(1) as f64
     });

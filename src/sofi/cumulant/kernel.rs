@@ -48,7 +48,7 @@ const STRIP_COLUMNS: usize = 128;
 /// The same where columns beside the strip take longer to make, as for a camera that is registered.
 const REGISTERED_STRIP_COLUMNS: usize = 256;
 
-/// The most numbers that a ring holds, a quarter of the second-level cache.
+/// The most numbers that a ring holds; with the rows of T that a registration keeps, about a second-level cache.
 const RING_NUMBERS: usize = 64 * 1024;
 
 /// Exposures that the many terms of a high order look at in turn: so few that they stay in the first-level cache.
