@@ -2,6 +2,8 @@
 
 #[path = "viewer/fake.rs"]
 mod fake;
+#[path = "viewer/habits.rs"]
+mod habits;
 #[path = "viewer/images.rs"]
 mod images;
 #[path = "viewer/registration.rs"]

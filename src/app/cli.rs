@@ -41,6 +41,9 @@ enum Command {
     Check(super::check::CheckArguments),
     /// Show which devices answer, ask them who they are, and start virtual ones
     Devices(super::devices::DevicesArguments),
+    /// Be the window of an instrument process; started by it, never by hand
+    #[command(hide = true)]
+    Window,
     /// Hold lasers and gates for an instrument process; started by it, never by hand
     #[command(hide = true)]
     LaserGuard(super::hardware::GuardArguments),
@@ -57,6 +60,7 @@ pub fn run(arguments: Arguments) -> Result<u8, AppError> {
     let command = arguments.command.unwrap_or_else(|| Command::Live(super::window::LiveArguments::default()));
     let done = match command {
         Command::Live(arguments) => super::window::run(&arguments),
+        Command::Window => super::window::run_window(),
         Command::Analyze(arguments) => super::analyze::run(&arguments),
         Command::Demo(arguments) => super::demo::run(&arguments),
         Command::Run(arguments) => super::run::run(&arguments),

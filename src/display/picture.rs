@@ -5,12 +5,13 @@
 
 use super::color::Rgb;
 use super::error::DisplayError;
+use serde::{Deserialize, Serialize};
 
 /// The largest side a PNG file can have, in pixels.
 const LARGEST_SIDE: usize = i32::MAX as usize;
 
 /// An RGB picture; row-major, origin top-left, at least one pixel.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct RgbImage {
     height: usize,
     width: usize,

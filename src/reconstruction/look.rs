@@ -6,6 +6,7 @@
 use crate::acquisition::FramePair;
 use crate::sofi::registration::ReflectedFromTransmitted;
 use ndarray::Array2;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// Most bins of a histogram.
@@ -30,7 +31,7 @@ pub struct CameraLook {
 
 /// From pixels of one camera to those of the other: `q = matrix * p + shift`, all `[y, x]`, whole numbers in the
 /// middle of pixels.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, Serialize)]
 pub struct PixelMap {
     /// Rows for y and x, columns for y and x.
     pub matrix: [[f64; 2]; 2],
@@ -126,7 +127,7 @@ impl CameraLook {
 }
 
 /// A step of the light path whose images can be looked at.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Deserialize, Serialize)]
 pub enum SofiStage {
     /// Temporal mean of each camera, the widefield image.
     Mean,

@@ -67,7 +67,7 @@ pub struct Pictures {
 }
 
 /// What can be asked for.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum BenchCommand {
     /// Open the simulated microscope.
     OpenSimulated,
@@ -128,7 +128,7 @@ pub enum BenchCommand {
 }
 
 /// What can be asked of the focus lock.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum FocusAsk {
     /// Find the signal and hold it.
     Lock,
@@ -175,7 +175,7 @@ impl Default for LiveSettings {
 }
 
 /// What a plan will do.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct PlanEstimate {
     /// One line per check: passed, warned or failed, and why.
     pub checks: Vec<(Gravity, String)>,

@@ -80,7 +80,7 @@ impl Bench for Fake {
 pub(crate) fn card() -> InstrumentCard {
     InstrumentCard {
         name: "Test microscope".to_owned(),
-        label: Some("SIMULATED"),
+        label: Some("SIMULATED".to_owned()),
         sensor: (64, 48),
         shortest_period: Duration::from_millis(1),
         longest_exposure: Duration::from_secs(1),

@@ -27,7 +27,7 @@ fn found() -> RegistrationStep {
     let Ok(map) = RgbImage::from_fn(40, 60, |_, _| [90, 90, 90]) else { panic!("a picture of 60 x 40") };
     RegistrationStep::Found(Arc::new(FoundRegistration {
         by: RegisterBy::Beads,
-        mirror: "horizontal",
+        mirror: "horizontal".to_owned(),
         shift_px: [12.4, -9.71],
         rotation_deg: 0.6,
         scale: 1.004,

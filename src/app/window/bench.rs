@@ -57,8 +57,13 @@ impl LocalBench {
     }
 
     /// Tells the person something.
-    pub(super) fn warn(&self, text: &str) {
-        self.shared.tell(Gravity::Warning, text);
+    pub(super) fn tell(&self, gravity: Gravity, text: &str) {
+        self.shared.tell(gravity, text);
+    }
+
+    /// Whether no hardware is behind what is shown.
+    pub(super) fn shows_simulated(&self) -> bool {
+        self.shared.shows_simulated()
     }
 
     /// A handle on the same instrument.

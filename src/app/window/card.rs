@@ -77,7 +77,7 @@ pub(super) fn card(instrument: &Instrument, open: &About) -> InstrumentCard {
     let (a, b) = (open.facts.sensors[0], open.facts.sensors[1]);
     InstrumentCard {
         name: instrument.name().to_owned(),
-        label: open.label.word(),
+        label: open.label.word().map(str::to_owned),
         sensor: (a.0.min(b.0), a.1.min(b.1)),
         shortest_period: open.facts.shortest_periods[0].max(open.facts.shortest_periods[1]),
         longest_exposure: limits.longest_exposure.unwrap_or(LONGEST_EXPOSURE),

@@ -213,7 +213,7 @@ fn register(
     })?;
     let told = FoundRegistration {
         by,
-        mirror: transform.mirror.name(),
+        mirror: transform.mirror.name().to_owned(),
         shift_px: transform.central_shift(),
         rotation_deg: transform.rotation_deg(),
         scale: transform.scale(),

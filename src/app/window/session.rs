@@ -168,7 +168,8 @@ impl Session {
         for warning in properties::read_all(&mut devices, &mut card) {
             self.shared.tell(Gravity::Warning, warning);
         }
-        let label = card.label.map_or(String::new(), |label| format!(" ({label}: no hardware is involved)"));
+        let label =
+            card.label.as_ref().map_or(String::new(), |label| format!(" ({label}: no hardware is involved)"));
         self.shared.tell(Gravity::Note, format!("{} is open{label}", card.name));
         for warning in &card.warnings {
             self.shared.tell(Gravity::Warning, warning.clone());
@@ -269,8 +270,8 @@ impl Session {
         activity: &Activity,
     ) -> Result<Acquired, AppError> {
         let devices = self.devices.take().ok_or_else(nothing_open)?;
-        let label = self.shared.card.load().as_ref().and_then(|card| card.label);
-        self.shared.is_simulated.store(label.is_some(), Ordering::SeqCst);
+        let is_simulated = self.shared.card.load().as_ref().is_some_and(|card| card.label.is_some());
+        self.shared.is_simulated.store(is_simulated, Ordering::SeqCst);
         let has_no_guard = self.shared.lights.load().is_none();
         let tell = |lit: &BTreeMap<u32, f64>| {
             if has_no_guard {

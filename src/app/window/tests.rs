@@ -1,6 +1,7 @@
 //! The bench behind the window, driven as a window drives it, with the simulated microscope.
 
 mod registration;
+mod served;
 
 use super::bench::LocalBench;
 use crate::reconstruction::SofiStage;
@@ -14,7 +15,7 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// Looks until something is so; the pause between two looks is a wait for a message that nobody sends.
-fn until<T>(bench: &LocalBench, what: &str, mut look: impl FnMut(&BenchStatus) -> Option<T>) -> T {
+fn until<T>(bench: &impl Bench, what: &str, mut look: impl FnMut(&BenchStatus) -> Option<T>) -> T {
     let begun = Instant::now();
     loop {
         let status = bench.status();
@@ -62,7 +63,7 @@ const QUICK: LiveSettings = LiveSettings {
 fn the_live_view_shows_cameras_and_every_step_until_it_is_finished() {
     let bench = simulated();
     let card = bench.status().instrument.clone().unwrap();
-    assert_eq!(card.label, Some("SIMULATED"));
+    assert_eq!(card.label.as_deref(), Some("SIMULATED"));
     assert!(card.devices.iter().all(|device| device.is_simulated), "{:?}", card.devices);
     assert_eq!(card.species.len(), 3);
     bench.ask(BenchCommand::Live(QUICK)).unwrap();

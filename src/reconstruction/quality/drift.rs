@@ -5,7 +5,7 @@
 //! Fails: never; `None` where too little blinks in both cameras.
 
 use crate::sofi::registration::{Affine, Mirror, PatchCorrelation, PointPair, ReflectedFromTransmitted};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Exposures of each subsequence that are looked at.
 const EXPOSURES: usize = 32;
@@ -23,7 +23,7 @@ const LEAST_PATCHES: usize = 8;
 pub const MOST_DRIFT_PX: f64 = 0.1;
 
 /// How far the cameras lie from where their registration says.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, Serialize)]
 pub struct CameraDrift {
     /// What T shows lies so far from the same in R, rows and columns, pixels of R.
     pub shift_px: [f64; 2],

@@ -4,10 +4,10 @@ use super::drift::CameraDrift;
 use crate::sofi::quality::{
     FourierRingCorrelation, LagCorrelation, subsequences_for_resolution, subsequences_for_signal_to_noise,
 };
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Quality after a number of subsequences; `None` wherever the data cannot tell yet.
-#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Deserialize, Serialize)]
 pub struct Quality {
     /// Subsequences that count.
     pub subsequences: u64,
@@ -38,7 +38,7 @@ pub struct Quality {
 }
 
 /// The finest detail on which both halves of the subsequences agree.
-#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Deserialize, Serialize)]
 pub struct Resolution {
     /// Camera pixels.
     pub camera_px: Option<f64>,
@@ -54,7 +54,7 @@ pub struct Resolution {
 }
 
 /// How the light of one camera bleaches.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, Serialize)]
 pub struct BleachingState {
     /// Exposures until half of the signal is gone.
     pub half_time_exposures: f64,
@@ -67,7 +67,7 @@ pub struct BleachingState {
 }
 
 /// Correlation of both cameras against the lag of T.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, Serialize)]
 pub struct LagCheck {
     /// Lag of the highest correlation, -3 to 3 exposures; must be 0.
     pub peak: i32,

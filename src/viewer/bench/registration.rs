@@ -3,11 +3,12 @@
 //! In: nothing. Out: [`RegistrationAsk`], [`RegistrationStatus`]. Never: holds frames. Fails: not at all.
 
 use crate::display::RgbImage;
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::Arc;
 
 /// What shows where camera R sees what camera T sees.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub enum RegisterBy {
     /// Beads that both cameras see.
     #[default]
@@ -17,7 +18,7 @@ pub enum RegisterBy {
 }
 
 /// What can be asked of the registration.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RegistrationAsk {
     /// Take frames of the live view and find the registration from them.
     Begin {
@@ -35,7 +36,7 @@ pub enum RegistrationAsk {
 }
 
 /// How the registration stands.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct RegistrationStatus {
     /// What is under way, or what was found and neither used nor discarded.
     pub step: RegistrationStep,
@@ -46,7 +47,7 @@ pub struct RegistrationStatus {
 }
 
 /// A step of the procedure.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub enum RegistrationStep {
     /// Nothing is under way.
     #[default]
@@ -67,12 +68,12 @@ pub enum RegistrationStep {
 }
 
 /// A registration that was found.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FoundRegistration {
     /// From what.
     pub by: RegisterBy,
     /// "none", "horizontal", "vertical", "both".
-    pub mirror: &'static str,
+    pub mirror: String,
     /// Shift of the middle of the field, `[y, x]`, camera pixels.
     pub shift_px: [f64; 2],
     /// Degrees.

@@ -4,12 +4,13 @@
 
 use super::registration::RegistrationStatus;
 use crate::reconstruction::Quality;
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
 /// How things stand.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct BenchStatus {
     /// The open instrument.
     pub instrument: Option<Arc<InstrumentCard>>,
@@ -38,7 +39,7 @@ pub struct BenchStatus {
 }
 
 /// What is under way.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub enum Activity {
     /// No instrument is open.
     #[default]
@@ -60,12 +61,12 @@ pub enum Activity {
 }
 
 /// What does not change while an instrument is open.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InstrumentCard {
     /// Its name.
     pub name: String,
     /// "SIMULATED" or "VIRTUAL" where no hardware is involved.
-    pub label: Option<&'static str>,
+    pub label: Option<String>,
     /// Columns and rows of both sensors.
     pub sensor: (u32, u32),
     /// Shortest time between exposures.
@@ -93,7 +94,7 @@ pub struct InstrumentCard {
 }
 
 /// A device.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct DeviceCard {
     /// What it is for: "camera R".
     pub role: String,
@@ -106,7 +107,7 @@ pub struct DeviceCard {
 }
 
 /// A property as the property browser shows it.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct PropertyRow {
     /// Its name.
     pub name: String,
@@ -123,7 +124,7 @@ pub struct PropertyRow {
 }
 
 /// Numbers of a run.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct RunNumbers {
     /// Where it is, for people.
     pub phase: String,
@@ -166,7 +167,7 @@ pub struct RunNumbers {
 }
 
 /// Where the stage is.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct StageStatus {
     /// Micrometers.
     pub x_um: f64,
@@ -177,7 +178,7 @@ pub struct StageStatus {
 }
 
 /// A laser line.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LaserStatus {
     /// Nanometers.
     pub wavelength_nm: u32,
@@ -194,7 +195,7 @@ pub struct LaserStatus {
 }
 
 /// The focus lock.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct FocusStatus {
     /// "off", "searching", "probing", "locked", "lost".
     pub state: String,
@@ -211,7 +212,7 @@ pub struct FocusStatus {
 }
 
 /// A replay under way.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ReplayStatus {
     /// What is played.
     pub recording: PathBuf,
@@ -228,7 +229,7 @@ pub struct ReplayStatus {
 }
 
 /// How grave an event is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Gravity {
     /// Good to know.
     Note,
@@ -239,7 +240,7 @@ pub enum Gravity {
 }
 
 /// Something that happened.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Event {
     /// Local time of the day.
     pub time: String,

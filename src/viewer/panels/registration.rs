@@ -145,7 +145,7 @@ fn step(ui: &mut Ui, step: &RegistrationStep, form: &mut RegistrationForm, wishe
 }
 
 fn result(ui: &mut Ui, found: &FoundRegistration) {
-    let mirror = match found.mirror {
+    let mirror = match found.mirror.as_str() {
         "none" => "not mirrored".to_owned(),
         "both" => "mirrored both ways".to_owned(),
         way => format!("mirrored, {way}"),

@@ -19,7 +19,7 @@ pub(in crate::viewer) fn top(
         match &status.instrument {
             Some(card) => {
                 ui.label(RichText::new(&card.name).strong().size(16.0));
-                if let Some(label) = card.label {
+                if let Some(label) = &card.label {
                     let text = RichText::new(format!(" {label} ")).strong().color(Color32::BLACK);
                     ui.label(text.background_color(color_of(Gravity::Warning)))
                         .on_hover_text("No hardware is involved: what the cameras show is simulated.");

@@ -7,15 +7,17 @@ use super::Window;
 use crate::reconstruction::SofiStage;
 use crate::viewer::bench::{Activity, BenchCommand, BenchStatus};
 use crate::viewer::panels::{Own, Wishes};
+use crate::viewer::settings::Side;
 use crate::viewer::view::{Subject, View};
 use egui::{Key, Modifiers, RichText, Ui};
 
 /// Longest time between two Escapes that are a STOP.
 const TWICE: f64 = 1.0;
 /// Keys and what they do, as the list shows them.
-pub const SHORTCUTS: [(&str, &str); 18] = [
+pub const SHORTCUTS: [(&str, &str); 19] = [
     ("Ctrl+.  or Esc Esc", "STOP: lasers off, motion stopped, run aborted"),
     ("L", "Live"),
+    ("Ctrl+Enter", "Check the plan and run it"),
     ("F", "Finish in good order"),
     ("P", "Hold a run or replay, and go on"),
     ("S", "Save images as data"),
@@ -52,6 +54,11 @@ impl Window {
         let pressed =
             |modifiers: Modifiers, key: Key| context.input_mut(|input| input.consume_key(modifiers, key));
         let plain = |key: Key| pressed(Modifiers::NONE, key);
+        if pressed(Modifiers::COMMAND, Key::Enter) && status.instrument.is_some() {
+            // The plan is shown with what there is to say of it.
+            self.settings.side = Side::Plan;
+            wishes.own.push(Own::CheckAndRun);
+        }
         if pressed(Modifiers::COMMAND, Key::Z) {
             self.undo();
         }

@@ -79,7 +79,7 @@ fn beads_of_the_live_view_register_what_comes_next() {
     });
     let told = found(&bench);
     assert_eq!(bench.status().activity, Activity::Live, "the live view goes on");
-    assert_eq!((told.by, told.mirror), (RegisterBy::Beads, "horizontal"));
+    assert_eq!((told.by, told.mirror.as_str()), (RegisterBy::Beads, "horizontal"));
     assert!(told.points > 60 && told.residual_nm < 5.0, "{told:?}");
     assert!((told.rotation_deg.abs() - 0.6).abs() < 0.01, "{}", told.rotation_deg);
     assert!(told.residual_map.width() >= SIDE, "drawn");
@@ -176,6 +176,6 @@ fn a_blinking_sample_is_registered_as_well_and_an_end_of_the_live_view_is_said()
     // These cameras are aligned, in a field of 72 pixels.
     ask(&bench, RegistrationAsk::Begin { by: RegisterBy::Blinking, frames: 160 });
     let told = found(&bench);
-    assert_eq!((told.by, told.mirror), (RegisterBy::Blinking, "none"));
+    assert_eq!((told.by, told.mirror.as_str()), (RegisterBy::Blinking, "none"));
     assert!(told.shift_px.iter().all(|shift| shift.abs() < 0.5), "{told:?}");
 }
