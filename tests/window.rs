@@ -12,6 +12,8 @@ mod tests {
     use std::sync::mpsc::{Receiver, sync_channel};
     use std::time::{Duration, Instant};
 
+    /// Where the plan of the paper is chosen.
+    const PAPER: [u32; 2] = [1123, 125];
     /// Far longer than anything here takes.
     const PATIENCE: Duration = Duration::from_secs(90);
 
@@ -30,7 +32,7 @@ mod tests {
         program: Child,
         said: Receiver<String>,
         log: Vec<String>,
-        _folder: tempfile::TempDir,
+        folder: tempfile::TempDir,
     }
 
     impl Bench {
@@ -79,7 +81,7 @@ mod tests {
                     }
                 }
             });
-            Some(Self { display, xvfb, program, said, log: Vec::new(), _folder: folder })
+            Some(Self { display, xvfb, program, said, log: Vec::new(), folder })
         }
 
         /// Waits until the program says something, and gives the line.
@@ -147,6 +149,38 @@ mod tests {
                 }
                 assert!(begun.elapsed() < PATIENCE, "{name} was not seen; look at {}", pictures().display());
                 if let Ok(line) = self.said.recv_timeout(Duration::from_millis(200)) {
+                    self.log.push(line);
+                }
+            }
+        }
+
+        /// The process of the window.
+        fn window_process(&self) -> String {
+            let instrument = self.program.id().to_string();
+            let found =
+                Command::new("pgrep").args(["-P", &instrument, "-f", "sofiscope window"]).output().unwrap();
+            let found = String::from_utf8_lossy(&found.stdout).trim().to_owned();
+            assert_eq!(found.lines().count(), 1, "one window belongs to the instrument: {found:?}");
+            found
+        }
+
+        fn signal(&self, name: &str, process: &str) {
+            assert!(Command::new("kill").args([name, process]).status().unwrap().success());
+        }
+
+        /// Exposures in the ledger of the recording under way.
+        fn exposures_recorded(&self) -> usize {
+            let recording = self.folder.path().join("sofiscope-run");
+            let ledger = fs::read_to_string(recording.join("ledger.csv")).unwrap_or_default();
+            ledger.lines().count().saturating_sub(1) / 2
+        }
+
+        /// Waits until so many exposures more are recorded; the pause is a wait for whatever the program says.
+        fn record(&mut self, exposures: usize) {
+            let (begun, first) = (Instant::now(), self.exposures_recorded());
+            while self.exposures_recorded() < first + exposures {
+                assert!(begun.elapsed() < PATIENCE, "{first} exposures were recorded; {:#?}", self.log);
+                if let Ok(line) = self.said.recv_timeout(Duration::from_millis(100)) {
                     self.log.push(line);
                 }
             }
@@ -259,6 +293,49 @@ mod tests {
             let top: Vec<_> = pixels[36 * width..70 * width].to_vec();
             count(&top, |[r, g, b]| r > 180 && g < 140 && b < 100) > 50
         });
+        assert_eq!(bench.close(), Some(0));
+    }
+
+    #[test]
+    fn a_run_outlives_its_window_and_loses_nothing() {
+        let Some(mut bench) = Bench::start(None) else { return };
+        bench.window();
+        bench.see("1-start", |width, pixels| pixels[247 * width + 460] != [27, 27, 27]);
+        bench.click("1", 640, 247);
+        bench.hear("the result is in the window");
+        bench.key("f");
+        bench.key("ctrl+Return");
+        bench.see("7-plan", |width, pixels| {
+            // The chosen plan stands on blue.
+            count(&[pixels[125 * width + 990]], |[r, _, b]| b > r + 60) == 1
+        });
+        // The plan of the paper, which records.
+        bench.click("1", PAPER[0], PAPER[1]);
+        // The cameras are simulated, which the check warns of: it is wanted all the same.
+        bench.key("ctrl+Return");
+        bench.see("8-warned", |width, pixels| {
+            // Warnings stand below the plan in orange.
+            let side: Vec<_> =
+                (480..620).flat_map(|row| pixels[row * width + 980..row * width + 1270].to_vec()).collect();
+            count(&side, |[r, g, b]| r > 180 && g > 100 && b < 60) > 100
+        });
+        bench.key("ctrl+Return");
+        bench.record(50);
+        bench.screen("9-run");
+        let frozen = bench.window_process();
+        bench.signal("-STOP", &frozen);
+        // 10 seconds and more, at 20 ms each.
+        bench.record(520);
+        bench.signal("-KILL", &frozen);
+        bench.hear("the window was lost");
+        bench.hear("the cameras are in the window");
+        assert_ne!(bench.window_process(), frozen);
+        bench.window();
+        bench.record(50);
+        bench.screen("10-another-window");
+        bench.key("f");
+        let books = bench.hear("frames received");
+        assert!(books.contains(" 0 lost; "), "{books}");
         assert_eq!(bench.close(), Some(0));
     }
 }

@@ -141,8 +141,11 @@ impl Canvas {
         };
         let extent = first.extent_um();
         let fitted = fit(extent, rect);
-        let place = Place { zoom: view.zoom.unwrap_or(fitted), middle: rect.center() };
+        let zoom = view.zoom.map(|zoom| Zoom { scale: zoom.scale * fitted.scale, ..zoom });
+        let place = Place { zoom: zoom.unwrap_or(fitted), middle: rect.center() };
         self.interact(ui, &response, rect, place, view, &mut done);
+        let relative = |zoom: Zoom| Zoom { scale: zoom.scale / fitted.scale, ..zoom };
+        done.zoom = done.zoom.map(|zoom| zoom.map(relative));
         self.refresh(ui, rect, place, &layers, pictures, view);
         if let Some(texture) = &self.texture {
             let [left, top, width, height] = self.part_um;

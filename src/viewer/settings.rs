@@ -20,13 +20,13 @@ pub enum Side {
 }
 
 impl Side {
-    /// All of them with their names.
-    pub const ALL: [(Self, &'static str); 5] = [
-        (Self::Live, "Live view"),
-        (Self::Plan, "Plan"),
-        (Self::Devices, "Instrument"),
-        (Self::Align, "Align"),
-        (Self::Replay, "Replay"),
+    /// All of them with their names, and what they are for.
+    pub const ALL: [(Self, &'static str, &'static str); 5] = [
+        (Self::Live, "Live view", "Exposure, region, order, dyes, presets; nothing is recorded"),
+        (Self::Plan, "Plan", "What to acquire and record: edit, check, run (Ctrl+Enter)"),
+        (Self::Devices, "Instrument", "Lasers, stage, focus lock, and every property of every device"),
+        (Self::Align, "Align", "How the cameras see each other, and the colors of the dyes"),
+        (Self::Replay, "Replay", "Play a recording as if the microscope were there"),
     ];
 }
 
@@ -44,12 +44,12 @@ pub enum Below {
 }
 
 impl Below {
-    /// All of them with their names.
-    pub const ALL: [(Self, &'static str); 4] = [
-        (Self::Curves, "Curves"),
-        (Self::Histogram, "Histogram"),
-        (Self::Profile, "Profile"),
-        (Self::Events, "Events"),
+    /// All of them with their names, and what they are for.
+    pub const ALL: [(Self, &'static str, &'static str); 4] = [
+        (Self::Curves, "Curves", "Signal-to-noise, resolution and bleaching against exposures"),
+        (Self::Histogram, "Histogram", "Raw counts of both cameras, with handles for black and white"),
+        (Self::Profile, "Profile", "Values along a line: drag with Shift in an image"),
+        (Self::Events, "Events", "What happened, and what to do about it"),
     ];
 }
 

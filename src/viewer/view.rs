@@ -52,7 +52,8 @@ impl Zoom {
 pub struct View {
     /// What is shown.
     pub subject: Subject,
-    /// Where; none for the whole image. All subjects share it.
+    /// Where; none for the whole image. All subjects and panes share it: its scale is relative to that of the whole
+    /// image, as panes differ in size.
     pub zoom: Option<Zoom>,
     /// Contrast of cameras, of results, and of composites.
     pub contrasts: [Contrast; 3],

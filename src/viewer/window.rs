@@ -201,8 +201,9 @@ impl Window {
             ui.horizontal_wrapped(|ui| {
                 // All of them in one row of the narrowest side.
                 (ui.spacing_mut().item_spacing.x, ui.spacing_mut().button_padding.x) = (1.0, 5.0);
-                for (side, name) in Side::ALL {
-                    ui.selectable_value(&mut self.settings.side, side, RichText::new(name).size(14.0));
+                for (side, name, hover) in Side::ALL {
+                    ui.selectable_value(&mut self.settings.side, side, RichText::new(name).size(14.0))
+                        .on_hover_text(hover);
                 }
             });
             ui.separator();
@@ -232,8 +233,8 @@ impl Window {
         let mut contrast = None;
         Panel::bottom("below").resizable(true).default_size(220.0).min_size(120.0).show(ui, |ui| {
             ui.horizontal(|ui| {
-                for (below, name) in Below::ALL {
-                    ui.selectable_value(&mut self.settings.below, below, name);
+                for (below, name, hover) in Below::ALL {
+                    ui.selectable_value(&mut self.settings.below, below, name).on_hover_text(hover);
                 }
             });
             let limits: Vec<Limits> =
@@ -263,9 +264,9 @@ impl Window {
         let share = if self.settings.shows_cameras { 0.30 } else { 0.0 };
         let area = ui.available_rect_before_wrap();
         if share > 0.0 {
-            let width = (area.width() * share).min(area.height() * 0.5);
+            let width = (area.width() * share).min(area.height() * 0.5).max(0.0);
             Panel::left("cameras").exact_size(width).resizable(false).show(ui, |ui| {
-                let height = (ui.available_height() - 8.0) * 0.5;
+                let height = ((ui.available_height() - 8.0) * 0.5).max(0.0);
                 for (index, canvas) in self.cameras.iter_mut().enumerate() {
                     canvas.set_pace(self.pace);
                     let own = View { subject: Subject::Camera(index), split: None, ..view };

@@ -169,11 +169,27 @@ fn run_checks_by_itself_and_asks_again_where_there_is_something_to_warn_of() {
             }
             None => {
                 assert!(says(&harness, "line 1: `bad` is unknown; remove it"));
+                press(&mut harness, Modifiers::COMMAND, Key::Enter);
                 click(&mut harness, "Run");
                 assert!(fake.asked.borrow().commands.is_empty());
             }
         }
     }
+}
+
+#[test]
+fn the_plan_is_run_by_a_key_and_by_the_same_key_in_spite_of_warnings() {
+    let (fake, mut harness) = showing(open(Activity::Idle));
+    press(&mut harness, Modifiers::COMMAND, Key::Enter);
+    assert!(matches!(&fake.asked.borrow().commands[..], [BenchCommand::Run { .. }]), "nothing to warn of");
+    let (fake, mut harness) = showing(open(Activity::Idle));
+    let mut changed = card();
+    changed.plans = vec![("other".to_owned(), "time_plan: {loops: 5}  # doubtful".to_owned())];
+    fake.status.borrow_mut().instrument = Some(Arc::new(changed));
+    press(&mut harness, Modifiers::COMMAND, Key::Enter);
+    assert!(fake.asked.borrow().commands.is_empty() && says(&harness, "the disk is nearly full"));
+    press(&mut harness, Modifiers::COMMAND, Key::Enter);
+    assert!(matches!(&fake.asked.borrow().commands[..], [BenchCommand::Run { .. }]));
 }
 
 #[test]

@@ -8,7 +8,7 @@ use crate::viewer::bench::{BenchStatus, Pictures};
 use crate::viewer::plane::Layer;
 use crate::viewer::settings::Below;
 use egui::{Color32, RichText, ScrollArea, Ui};
-use egui_plot::{Corner, Legend, Line, Plot, Points};
+use egui_plot::{AxisHints, Corner, Legend, Line, Plot, Points};
 
 /// Blue, orange, green, vermilion: told apart by all eyes.
 pub(super) const COLORS: [Color32; 4] = [
@@ -105,7 +105,9 @@ fn plot(
     }
     Plot::new(name)
         .height(height)
-        .x_axis_label("exposures")
+        .custom_x_axes(vec![
+            AxisHints::new_x().label("exposures").label_spacing(egui::Rangef::new(20.0, 60.0)),
+        ])
         .y_axis_label(name)
         .include_y(0.0)
         .include_x(0.0)

@@ -66,7 +66,8 @@ fn controls(
     ui.horizontal(|ui| {
         let label = ui.label("Step");
         ui.add(DragValue::new(&mut form.step_nm).range(1.0..=5000.0).speed(5.0).suffix(" nm"))
-            .labelled_by(label.id);
+            .labelled_by(label.id)
+            .on_hover_text("How far each step goes, 1 to 5000 nm");
         let hover = "Moves the drive, while the lock is off";
         button(ui, !is_run && is_off, "focus up", hover, FocusAsk::MoveBy(form.step_nm));
         button(ui, !is_run && is_off, "focus down", hover, FocusAsk::MoveBy(-form.step_nm));

@@ -46,7 +46,8 @@ pub(in crate::viewer) fn instrument(
     }
     focus(ui, status, &mut forms.focus, wishes);
     devices(ui, status, card, &mut forms.properties, wishes);
-    if status.activity == Activity::Idle && ui.button("Close the instrument").clicked() {
+    let hover = "Lasers off, every device is released; the first screen comes back";
+    if status.activity == Activity::Idle && ui.button("Close the instrument").on_hover_text(hover).clicked() {
         wishes.ask(BenchCommand::CloseInstrument);
     }
 }
@@ -66,14 +67,15 @@ fn stage_controls(
             let value = DragValue::new(&mut target[axis]).range(limits.0..=limits.1).speed(1.0).suffix(" µm");
             ui.add(value).labelled_by(label.id).on_hover_text(format!("{} to {} µm", limits.0, limits.1));
         }
-        if ui.button("Move").clicked() {
+        if ui.button("Move").on_hover_text("Go to x and y; Ctrl+. stops it").clicked() {
             go(*target);
         }
     });
     ui.horizontal(|ui| {
         let label = ui.label("Step");
         ui.add(DragValue::new(&mut form.step_um).range(0.1..=5000.0).speed(0.5).suffix(" µm"))
-            .labelled_by(label.id);
+            .labelled_by(label.id)
+            .on_hover_text("How far each step goes, 0.1 to 5000 µm");
         let step = form.step_um;
         for (text, hover, by) in [
             ("left", "Move left", [-step, 0.0]),
@@ -87,7 +89,8 @@ fn stage_controls(
         }
     });
     ui.label(RichText::new("Right click in an image brings that place to the middle.").small());
-    if ui.button("Keep this place").clicked() {
+    let hover = "Adds the present place to the list below, to come back to it";
+    if ui.button("Keep this place").on_hover_text(hover).clicked() {
         form.places.push(here);
     }
     let mut removed = None;

@@ -47,7 +47,8 @@ pub(in crate::viewer) fn live(
         }
         let finish = Button::new(RichText::new("Finish").size(17.0)).min_size(Vec2::new(110.0, 36.0));
         let is_looking = matches!(status.activity, Activity::Live | Activity::Replay);
-        if ui.add_enabled(is_looking, finish).on_hover_text("End in good order (F)").clicked() {
+        let finish = ui.add_enabled(is_looking, finish).on_hover_text("End in good order (F)");
+        if finish.on_disabled_hover_text("Nothing is shown that could end").clicked() {
             wishes.ask(BenchCommand::Finish);
         }
     });
@@ -137,7 +138,9 @@ fn presets_of(ui: &mut Ui, presets: &Presets, current: Option<&str>, name: &mut 
     }
     ui.horizontal(|ui| {
         let label = ui.label("Name");
-        ui.add(TextEdit::singleline(name).desired_width(130.0)).labelled_by(label.id);
+        ui.add(TextEdit::singleline(name).desired_width(130.0))
+            .labelled_by(label.id)
+            .on_hover_text("Name of a preset to keep");
         let button = ui.add_enabled(!name.trim().is_empty(), Button::new("Keep as preset"));
         let hover =
             "Keeps exposure, region, analysis, powers, contrast and colors for later sessions as well";
@@ -174,13 +177,14 @@ fn dyes(ui: &mut Ui, card: &InstrumentCard, settings: &mut LiveSettings) {
     }
     let most = settings.order + 1;
     if settings.species.len() < most {
-        ComboBox::from_label("Add a dye").selected_text("choose").show_ui(ui, |ui| {
+        let choice = ComboBox::from_label("Add a dye").selected_text("choose").show_ui(ui, |ui| {
             for dye in &card.known_species {
                 if !settings.species.contains(dye) && ui.selectable_label(false, dye).clicked() {
                     settings.species.push(dye.clone());
                 }
             }
         });
+        choice.response.on_hover_text(format!("Up to {most} dyes at order {}", most - 1));
     }
     if let Some(dichroic) = &card.dichroic {
         ui.label(format!("Dichroic: {dichroic}"));

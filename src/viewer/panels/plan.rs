@@ -30,6 +30,11 @@ impl PlanForm {
         self.judged.as_ref().filter(|(text, _)| *text == self.text).map(|(_, judgment)| judgment)
     }
 
+    /// Whether the plan can begin at all; none before it was judged.
+    pub(in crate::viewer) fn may_begin(&self) -> Option<bool> {
+        self.judgment().map(|judgment| judgment.as_ref().is_ok_and(|estimate| estimate.may_begin))
+    }
+
     /// The command to begin, into a directory that is still free where nobody typed another one.
     pub(in crate::viewer) fn begin(&mut self, status: &BenchStatus) -> BenchCommand {
         if self.out == self.suggestion {
@@ -67,7 +72,8 @@ pub(in crate::viewer) fn plan(
     heading(ui, "Plan");
     ui.horizontal_wrapped(|ui| {
         for (name, text) in &card.plans {
-            if ui.selectable_label(form.text == *text, name).clicked() {
+            let hover = format!("Begin with the plan '{name}'; what is typed below is replaced");
+            if ui.selectable_label(form.text == *text, name).on_hover_text(hover).clicked() {
                 form.text.clone_from(text);
             }
         }
@@ -84,8 +90,7 @@ pub(in crate::viewer) fn plan(
             .labelled_by(label.id)
             .on_hover_text("A directory that must not exist yet");
     });
-    let may_begin =
-        form.judgment().map(|judgment| judgment.as_ref().is_ok_and(|estimate| estimate.may_begin));
+    let may_begin = form.may_begin();
     ui.horizontal(|ui| {
         if ui.button("Check plan").on_hover_text("Pre-flight: disk, memory, limits, dyes").clicked() {
             wishes.own.push(Own::JudgePlan);
@@ -93,11 +98,11 @@ pub(in crate::viewer) fn plan(
         let is_free = matches!(status.activity, Activity::Idle | Activity::Live | Activity::Replay);
         let (text, hover) = match may_begin {
             Some(true) if !form.is_clear() => {
-                ("Run all the same", "Acquire and analyze in spite of the warnings below")
+                ("Run all the same", "Acquire and analyze in spite of the warnings below (Ctrl+Enter)")
             }
             Some(true) => ("Run", "Acquire and analyze, and record if the plan says so"),
             Some(false) => ("Run", "The plan cannot begin; see below what to change"),
-            None => ("Run", "Check the plan, and begin unless there is something to warn of"),
+            None => ("Run", "Check the plan, and begin unless there is something to warn of (Ctrl+Enter)"),
         };
         let run = Button::new(RichText::new(text).size(17.0)).min_size(Vec2::new(110.0, 32.0));
         let run = ui.add_enabled(is_free && may_begin != Some(false), run);

@@ -36,12 +36,19 @@ pub(in crate::viewer) fn replay(
     ui.horizontal(|ui| {
         ui.label("Speed");
         for (speed, name) in SPEEDS {
-            ui.selectable_value(&mut form.speed, speed, name);
+            let hover = if speed.is_finite() {
+                format!("{speed} times the speed of the recording")
+            } else {
+                "As fast as the computer can".to_owned()
+            };
+            ui.selectable_value(&mut form.speed, speed, name).on_hover_text(hover);
         }
     });
     ui.horizontal(|ui| {
         let label = ui.label("From exposure");
-        ui.add(DragValue::new(&mut form.from).speed(10.0)).labelled_by(label.id);
+        ui.add(DragValue::new(&mut form.from).speed(10.0))
+            .labelled_by(label.id)
+            .on_hover_text("First exposure to play, from 0");
     });
     let command =
         || BenchCommand::Replay { recording: form.path.trim().into(), speed: form.speed, from: form.from };
@@ -50,10 +57,13 @@ pub(in crate::viewer) fn replay(
     ui.horizontal(|ui| {
         let is_playing = status.activity == Activity::Replay;
         let text = if is_playing { "Play again" } else { "Play" };
-        if ui.add_enabled(is_free && !form.path.trim().is_empty(), Button::new(text)).clicked() {
+        let play = ui.add_enabled(is_free && !form.path.trim().is_empty(), Button::new(text));
+        let play = play.on_hover_text("Play it through the pipeline of the cameras");
+        if play.on_disabled_hover_text("Choose a recording first; a run has to end before").clicked() {
             wishes.ask(command());
         }
-        if ui.add_enabled(is_playing, Button::new("End replay")).clicked() {
+        let end = ui.add_enabled(is_playing, Button::new("End replay")).on_hover_text("End it (F)");
+        if end.on_disabled_hover_text("Nothing is played").clicked() {
             wishes.ask(BenchCommand::Finish);
         }
     });

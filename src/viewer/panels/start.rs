@@ -5,6 +5,16 @@ use crate::viewer::bench::{Activity, BenchCommand, BenchStatus, LiveSettings};
 use crate::viewer::settings::WindowSettings;
 use egui::{Button, RichText, TextEdit, Ui, Vec2};
 
+/// What comes after the click, for whoever is here for the first time.
+const WHAT_TO_DO: [(&str, &str); 3] = [
+    (
+        "Look",
+        "Both cameras, and the unmixed image of the dyes that sharpens while frames come; F1 lists the keys.",
+    ),
+    ("Keep", "S saves every image as data, E the picture as it is seen."),
+    ("Acquire", "Ctrl+Enter checks the plan and runs it; STOP is at the top right, Ctrl+. or Esc twice."),
+];
+
 /// Draws the first screen.
 pub(in crate::viewer) fn start(
     ui: &mut Ui,
@@ -31,7 +41,8 @@ pub(in crate::viewer) fn start(
             ui.add_space((ui.available_width() - 470.0).max(0.0) * 0.5);
             let label = ui.label("File");
             ui.add(TextEdit::singleline(&mut settings.instrument).desired_width(330.0)).labelled_by(label.id);
-            if ui.add_enabled(is_free, Button::new("Open instrument")).clicked() {
+            let hover = "Opens every device of the instrument; nothing shines and nothing moves";
+            if ui.add_enabled(is_free, Button::new("Open instrument")).on_hover_text(hover).clicked() {
                 wishes.ask(BenchCommand::OpenInstrument(settings.instrument.trim().into()));
             }
         });
@@ -39,6 +50,12 @@ pub(in crate::viewer) fn start(
             ui.add_space(12.0);
             ui.spinner();
             ui.label("opening every device of the instrument ...");
+        }
+        ui.add_space(28.0);
+        for (what, how) in WHAT_TO_DO {
+            ui.label(RichText::new(what).strong());
+            ui.label(how);
+            ui.add_space(6.0);
         }
         if !status.recent.is_empty() {
             ui.add_space(24.0);

@@ -56,9 +56,10 @@ pub(in crate::viewer) fn top(
             if ui.add_sized(Vec2::new(96.0, 32.0), stop).on_hover_text(hover).clicked() {
                 wishes.stop = true;
             }
-            ui.menu_button("View", |ui| {
-                ui.checkbox(&mut settings.shows_cameras, "Cameras beside the result");
-                ui.checkbox(&mut settings.is_dark, "Dark theme");
+            let menu = ui.menu_button("View", |ui| {
+                ui.checkbox(&mut settings.shows_cameras, "Cameras beside the result")
+                    .on_hover_text("Both cameras left of the result (C)");
+                ui.checkbox(&mut settings.is_dark, "Dark theme").on_hover_text("Dark or light");
                 ui.horizontal(|ui| {
                     ui.label("Size of writing");
                     if ui.button("A-").on_hover_text("Smaller (Ctrl+-)").clicked() {
@@ -68,23 +69,30 @@ pub(in crate::viewer) fn top(
                         settings.scale = (settings.scale + 0.1).min(2.5);
                     }
                 });
-                if ui.button("Reset layout").clicked() {
+                let hover = "Panels, sizes and writing as they were at first; presets stay";
+                if ui.button("Reset layout").on_hover_text(hover).clicked() {
                     wishes.own.push(Own::ResetLayout);
                 }
-                if ui.button("Keyboard shortcuts (F1)").clicked() {
+                let hover = "Everything frequent has a key";
+                if ui.button("Keyboard shortcuts (F1)").on_hover_text(hover).clicked() {
                     wishes.own.push(Own::Shortcuts);
                 }
-                if status.instrument.is_some() && ui.button("Close instrument").clicked() {
+                let hover = "Lasers off, every device is released; the first screen comes back";
+                if status.instrument.is_some() && ui.button("Close instrument").on_hover_text(hover).clicked()
+                {
                     wishes.ask(BenchCommand::CloseInstrument);
                 }
             });
+            menu.response.on_hover_text("Layout, theme, size of writing, keys");
             undone.1 = ui
                 .add_enabled(undo.1, Button::new("Redo"))
                 .on_hover_text("View and contrast (Ctrl+Y)")
+                .on_disabled_hover_text("No change of view or contrast was taken back (Ctrl+Y)")
                 .clicked();
             undone.0 = ui
                 .add_enabled(undo.0, Button::new("Undo"))
                 .on_hover_text("View and contrast (Ctrl+Z)")
+                .on_disabled_hover_text("View and contrast are as they were at first (Ctrl+Z)")
                 .clicked();
         });
     });

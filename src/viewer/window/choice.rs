@@ -24,7 +24,10 @@ impl Window {
                     ui.selectable_value(&mut view.subject, subject, name_of(subject, sofi));
                 }
             });
-            images.response.labelled_by(label.id);
+            images
+                .response
+                .labelled_by(label.id)
+                .on_hover_text("Cameras, or any step of the analysis (R, T, O, 1 to 5)");
             let label = ui.label("Colors");
             let colors = ComboBox::from_id_salt("colors").selected_text(view.colormap.name());
             let colors = colors.show_ui(ui, |ui| {
@@ -32,7 +35,7 @@ impl Window {
                     ui.selectable_value(&mut view.colormap, map, map.name());
                 }
             });
-            colors.response.labelled_by(label.id);
+            colors.response.labelled_by(label.id).on_hover_text("Colors of single images");
             contrast(ui, view, self.result.limits());
             let mut is_split = view.split.is_some();
             if ui
@@ -117,22 +120,24 @@ fn contrast(ui: &mut Ui, view: &mut View, limits: &[Limits]) {
         view.contrasts[index] =
             if is_manual { Contrast::Manual(now) } else { View::default().contrasts[index] };
     }
-    let named = |ui: &mut Ui, name: &str, value: DragValue<'_>| {
+    let named = |ui: &mut Ui, name: &str, value: DragValue<'_>, hover: &str| {
         let label = ui.label(name);
-        ui.add(value).labelled_by(label.id);
+        ui.add(value).labelled_by(label.id).on_hover_text(hover);
     };
+    let by_value = "Drag, or click to type; in counts for cameras";
+    let by_share = "Drag, or click to type; percent of the pixels that are darker";
     match &mut view.contrasts[index] {
         Contrast::Manual(limits) => {
             let speed = ((limits.high - limits.low).abs() / 200.0).max(1e-6);
-            named(ui, "black", DragValue::new(&mut limits.low).speed(speed));
-            named(ui, "white", DragValue::new(&mut limits.high).speed(speed));
+            named(ui, "black", DragValue::new(&mut limits.low).speed(speed), by_value);
+            named(ui, "white", DragValue::new(&mut limits.high).speed(speed), by_value);
         }
         Contrast::Percentile { low, high } => {
-            named(ui, "black", DragValue::new(low).range(0.0..=50.0).speed(0.1).suffix(" %"));
-            named(ui, "white", DragValue::new(high).range(50.0..=100.0).speed(0.02).suffix(" %"));
+            named(ui, "black", DragValue::new(low).range(0.0..=50.0).speed(0.1).suffix(" %"), by_share);
+            named(ui, "white", DragValue::new(high).range(50.0..=100.0).speed(0.02).suffix(" %"), by_share);
         }
         Contrast::FromZero { high } => {
-            named(ui, "white", DragValue::new(high).range(50.0..=100.0).speed(0.02).suffix(" %"));
+            named(ui, "white", DragValue::new(high).range(50.0..=100.0).speed(0.02).suffix(" %"), by_share);
         }
     }
 }

@@ -65,8 +65,12 @@ impl Window {
         match own {
             Own::JudgePlan => self.judge_plan(),
             Own::CheckAndRun => {
-                self.judge_plan();
-                if self.forms.plan.is_clear() {
+                // What is to be warned of has been read when it is wanted once more.
+                let is_wanted_again = self.forms.plan.may_begin();
+                if is_wanted_again.is_none() {
+                    self.judge_plan();
+                }
+                if is_wanted_again.unwrap_or(self.forms.plan.is_clear()) {
                     let command = self.forms.plan.begin(status);
                     self.ask(command);
                 }
