@@ -12,6 +12,7 @@
 mod bench;
 pub(super) mod board;
 mod card;
+mod coloring;
 mod numbers;
 mod recent;
 mod registering;
