@@ -7,12 +7,26 @@ use crate::viewer::bench::{
     Activity, Bench, BenchCommand, BenchStatus, ColorsAsk, ColorsStep, FoundShare, Gravity, LiveSettings,
     MarkedRegions,
 };
+use clap::Parser;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
+
+/// A command line of `analyze`.
+#[derive(clap::Parser)]
+struct Line {
+    #[command(flatten)]
+    analyze: crate::app::analyze::AnalyzeArguments,
+}
+
+/// A pace at which every computer goes on showing frames.
+fn steady() -> LiveSettings {
+    LiveSettings { exposure: Duration::from_millis(20), ..QUICK }
+}
 
 /// The dyes of the simulated sample, their shares, and where only one of them is: left, top, width, height.
 const TRUTH: [(&str, f64, [u32; 4]); 3] = [
-    ("Alexa Fluor 488", 0.02, [28, 41, 16, 16]),
+    ("Alexa Fluor 488", 0.02, [30, 43, 12, 12]),
     ("Atto 565", 0.35, [19, 31, 16, 13]),
     ("Alexa Fluor 647", 0.98, [38, 31, 16, 13]),
 ];
@@ -63,7 +77,7 @@ fn note(bench: &LocalBench, out: &Path) -> serde_json::Value {
         bench.ask(BenchCommand::Finish).unwrap();
         until(bench, "rest", is(&Activity::Idle));
     }
-    let plan = SHORT_RUN.replace("loops: 600", "loops: 100");
+    let plan = SHORT_RUN.replace("loops: 600", "loops: 100").replace("2.0", "10.0");
     bench.ask(BenchCommand::Run { plan, out: out.to_owned() }).unwrap();
     until(bench, "a run", |status| {
         let is_new = status.last_saved.as_ref().is_some_and(|saved| saved.file_name() == out.file_name());
@@ -80,7 +94,7 @@ fn the_share_of_each_filament_is_found_and_what_is_used_goes_for_all_that_comes(
     until(&bench, "a refusal", |status| {
         text_of(status, Gravity::Warning).iter().any(|text| text.contains("start it (L)")).then_some(())
     });
-    live(&bench, QUICK);
+    live(&bench, steady());
     let mut kept = Vec::new();
     for (dye, truth, area) in TRUTH {
         assert_eq!(in_use(&bench.status(), dye), truth, "of the sample");
@@ -131,7 +145,7 @@ fn the_share_of_each_filament_is_found_and_what_is_used_goes_for_all_that_comes(
     assert!(dichroic["date"].as_str().unwrap().parse::<jiff::Timestamp>().is_ok());
     let measured = dichroic["coefficients"].as_array().unwrap().last().unwrap();
     assert_eq!(measured["regions"].as_str(), Some("16 x 13 px from column 38 and row 31 on"));
-    assert_eq!(measured["exposures"].as_str(), Some("60 of 2 ms each, from the live view"));
+    assert_eq!(measured["exposures"].as_str(), Some("60 of 20 ms each, from the live view"));
     assert!(measured["registration"].as_str().unwrap().starts_with("none"));
     // A run goes by it, and keeps it beside its frames.
     let kept_note = note(&bench, &folder.path().join("run"));
@@ -140,8 +154,23 @@ fn the_share_of_each_filament_is_found_and_what_is_used_goes_for_all_that_comes(
         assert_eq!(species["name"], *dye);
         assert!((species["transmission"].as_f64().unwrap() - written).abs() < 1e-6, "{species}");
     }
+    // `analyze` takes the file as one of `calibrate response`.
+    let (run, out) = (folder.path().join("run"), folder.path().join("again"));
+    let line = Line::parse_from([
+        "analyze".as_ref(),
+        run.as_os_str(),
+        "--species".as_ref(),
+        "Alexa Fluor 488,Atto 565,Alexa Fluor 647".as_ref(),
+        "--response".as_ref(),
+        kept[2].2.as_os_str(),
+        "--out".as_ref(),
+        out.as_os_str(),
+    ]);
+    crate::app::analyze::run(&line.analyze).unwrap();
+    let report = std::fs::read_to_string(out.join("report.json")).unwrap();
+    assert!(report.contains("measured shares"), "{report}");
     // So does the next live view, which says so of what it is compared with.
-    live(&bench, QUICK);
+    live(&bench, steady());
     begin(&bench, TRUTH[1].0, &[TRUTH[1].2], 20);
     let again = found(&bench);
     let compared = again.in_use.as_ref().unwrap();
@@ -165,7 +194,7 @@ fn the_share_of_each_filament_is_found_and_what_is_used_goes_for_all_that_comes(
 fn what_is_discarded_leaves_everything_as_it_was() {
     let folder = tempfile::tempdir().unwrap();
     let bench = simulated();
-    live(&bench, QUICK);
+    live(&bench, steady());
     begin(&bench, TRUTH[1].0, &[TRUTH[1].2], 5000);
     until(&bench, "frames that are counted", |status| match status.colors.step {
         ColorsStep::Gathering { taken, wanted: 5000 } if taken > 0 => Some(()),
@@ -188,7 +217,7 @@ fn what_is_discarded_leaves_everything_as_it_was() {
 #[test]
 fn regions_that_cannot_be_used_say_what_to_do() {
     let bench = simulated();
-    live(&bench, QUICK);
+    live(&bench, steady());
     for (area, why) in [
         ([28, 41, 16, 6], "too small"),
         ([60, 41, 16, 16], "clear the regions and mark them again"),
@@ -203,7 +232,7 @@ fn regions_that_cannot_be_used_say_what_to_do() {
     ask(&bench, ColorsAsk::Begin { dye: TRUTH[0].0.to_owned(), marked, frames: 10 });
     assert!(failure(&bench).contains("none of the dyes is"));
     // Regions stay where they are on the sensor when less of it is read.
-    live(&bench, LiveSettings { region: Some([8, 24, 48, 40]), ..QUICK });
+    live(&bench, LiveSettings { region: Some([8, 24, 48, 40]), ..steady() });
     begin(&bench, TRUTH[1].0, &[TRUTH[1].2], 60);
     let share = found(&bench);
     assert!((share.transmission - 0.35).abs() <= 1.5 * share.uncertainty, "{share:?}");
