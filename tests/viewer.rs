@@ -1,5 +1,7 @@
 //! The window on a bench that does nothing but write down what it is asked: every panel and state, every key.
 
+#[path = "viewer/colors.rs"]
+mod colors;
 #[path = "viewer/fake.rs"]
 mod fake;
 #[path = "viewer/habits.rs"]

@@ -10,6 +10,10 @@
 //! Never: keeps a frame, needs gains: shares are of counts, as the unmixing takes them.
 //! Fails: [`ResponseError`].
 
+mod regions;
+
+pub use regions::{Marked, PixelArea, transmitted_share_in};
+
 use crate::sofi::registration::Resampler;
 use ndarray::{Array2, Zip};
 
@@ -35,6 +39,16 @@ pub enum ResponseError {
     /// Sizes that differ.
     #[error("sample, blank and maps differ in size; record the same region")]
     Size,
+    /// A region with too few pixels.
+    #[error(
+        "the regions are too small or outside of what both cameras see; mark at least {} x {} pixels within the image",
+        regions::LEAST_SIDE,
+        regions::LEAST_SIDE
+    )]
+    SmallRegion,
+    /// A background in which the dye is.
+    #[error("the background lies on a region of the dye; mark it where none of the dyes is")]
+    Overlap,
 }
 
 /// Sums of a recording of both cameras.
@@ -135,6 +149,19 @@ pub fn transmitted_share(
     means: &HalfMeans,
     settings: &ResponseSettings<'_>,
 ) -> Result<MeasuredShare, ResponseError> {
+    let Light { transmitted, total, is_good } = corrected_light(means, settings)?;
+    slope(&tiles(&transmitted, &total, &is_good, settings.blank.is_some()))
+}
+
+/// The light of T and of both cameras on the pixels of R, of even and odd frames.
+struct Light {
+    transmitted: [Array2<f64>; 2],
+    total: [Array2<f64>; 2],
+    /// Pixels that both cameras see well.
+    is_good: Array2<bool>,
+}
+
+fn corrected_light(means: &HalfMeans, settings: &ResponseSettings<'_>) -> Result<Light, ResponseError> {
     let size = means[0][0].dim();
     let fits = |other: (usize, usize)| other == size;
     let blanks = settings.blank.iter().flat_map(|blank| blank.iter().flatten()).map(Array2::dim);
@@ -159,8 +186,7 @@ pub fn transmitted_share(
         !masked(settings.masks[0]) && !masked(missing.as_ref())
     });
     let total: [Array2<f64>; 2] = std::array::from_fn(|half| &reflected[half] + &transmitted[half]);
-    let tiles = tiles(&transmitted, &total, &is_good, settings.blank.is_some());
-    slope(&tiles)
+    Ok(Light { transmitted, total, is_good })
 }
 
 fn light(means: &HalfMeans, settings: &ResponseSettings<'_>, camera: usize, half: usize) -> Array2<f64> {

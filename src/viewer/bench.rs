@@ -3,9 +3,11 @@
 //! In: nothing. Out: [`BenchStatus`] and [`Pictures`] as data, [`BenchCommand`]s, the trait [`Bench`] between both.
 //! Never: waits, talks to a device. Fails: a command that cannot be taken says so.
 
+mod colors;
 mod registration;
 mod status;
 
+pub use colors::{ColorsAsk, ColorsStatus, ColorsStep, DyeInUse, FoundShare, MarkedRegions};
 pub use registration::{
     FoundRegistration, RegisterBy, RegistrationAsk, RegistrationStatus, RegistrationStep,
 };
@@ -116,6 +118,8 @@ pub enum BenchCommand {
     SaveResults(PathBuf),
     /// Something of the registration of the cameras.
     Registration(RegistrationAsk),
+    /// Something of how the dyes divide between the cameras.
+    Colors(ColorsAsk),
     /// Change a property of a camera, see [`DeviceCard::properties`]; refused unless nothing is under way.
     SetProperty {
         /// Role of the device.

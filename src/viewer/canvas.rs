@@ -27,6 +27,17 @@ pub struct Done {
     pub reading: Option<String>,
 }
 
+/// A rectangle that is drawn over the image.
+#[derive(Debug, Clone)]
+pub struct Mark {
+    /// Left, top, width, height in micrometers.
+    pub area_um: [f64; 4],
+    /// Of its line.
+    pub color: Color32,
+    /// Written beside it.
+    pub name: String,
+}
+
 /// A pane.
 pub struct Canvas {
     name: &'static str,
@@ -40,6 +51,7 @@ pub struct Canvas {
     wanted: Option<Request>,
     key: u64,
     drag: Option<Drag>,
+    marks: Vec<Mark>,
     pace: std::time::Duration,
 }
 
@@ -93,6 +105,7 @@ impl Canvas {
             wanted: None,
             key: 0,
             drag: None,
+            marks: Vec::new(),
             pace: std::time::Duration::ZERO,
         }
     }
@@ -100,6 +113,11 @@ impl Canvas {
     /// A picture that is there is drawn after this time.
     pub fn set_pace(&mut self, pace: std::time::Duration) {
         self.pace = pace / 2;
+    }
+
+    /// Rectangles to be drawn over the image.
+    pub fn set_marks(&mut self, marks: Vec<Mark>) {
+        self.marks = marks;
     }
 
     /// Limits that the contrast came to, layer by layer.
@@ -305,6 +323,12 @@ impl Canvas {
             let y = rect.top() + 26.0;
             painter.text(Pos2::new(x - 6.0, y), Align2::RIGHT_CENTER, "mean", font.clone(), Color32::WHITE);
             painter.text(Pos2::new(x + 6.0, y), Align2::LEFT_CENTER, "SOFI", font, Color32::WHITE);
+        }
+        for Mark { area_um: [left, top, width, height], color, name } in &self.marks {
+            let corner = place.to_screen([*left, *top]);
+            let area = Rect::from_two_pos(corner, place.to_screen([left + width, top + height]));
+            painter.rect_stroke(area, 0.0, Stroke::new(1.5, *color), StrokeKind::Middle);
+            painter.text(corner, Align2::LEFT_BOTTOM, name, FontId::proportional(12.0), *color);
         }
         let Some(pointer) = response.interact_pointer_pos() else { return };
         let stroke = Stroke::new(1.5, Color32::from_rgb(255, 220, 80));

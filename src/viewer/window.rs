@@ -11,7 +11,7 @@ use gesture::Gestures;
 pub use keys::SHORTCUTS;
 
 use super::bench::{Activity, Bench, BenchStatus, Gravity, Pictures};
-use super::canvas::{Canvas, Done};
+use super::canvas::{Canvas, Done, Mark};
 use super::panels::{self, Forms, Wishes};
 use super::plane::layers;
 use super::presets::Presets;
@@ -217,7 +217,7 @@ impl Window {
                     Side::Live => panels::live(ui, status, card, forms, &self.presets, wishes),
                     Side::Plan => panels::plan(ui, status, card, &mut forms.plan, wishes),
                     Side::Devices => panels::instrument(ui, status, card, forms, wishes),
-                    Side::Align => panels::registration(ui, status, &mut forms.registration, wishes),
+                    Side::Align => panels::align(ui, status, forms, wishes),
                     Side::Replay => panels::replay(ui, status, &mut forms.replay, wishes),
                 }
             });
@@ -261,6 +261,8 @@ impl Window {
         self.choose(ui, pictures, &mut view, wishes);
         let waiting = waiting(status);
         let mut done = Done::default();
+        let marks = self.marks(pictures);
+        let marks_regions = self.marks_regions();
         let share = if self.settings.shows_cameras { 0.30 } else { 0.0 };
         let area = ui.available_rect_before_wrap();
         if share > 0.0 {
@@ -269,9 +271,12 @@ impl Window {
                 let height = ((ui.available_height() - 8.0) * 0.5).max(0.0);
                 for (index, canvas) in self.cameras.iter_mut().enumerate() {
                     canvas.set_pace(self.pace);
+                    canvas.set_marks(if index == 0 { marks.clone() } else { Vec::new() });
                     let own = View { subject: Subject::Camera(index), split: None, ..view };
                     ui.allocate_ui(egui::Vec2::new(ui.available_width(), height), |ui| {
-                        let one = canvas.ui(ui, pictures, &own, waiting);
+                        let mut one = canvas.ui(ui, pictures, &own, waiting);
+                        // Regions are on the pixels of camera R.
+                        one.rectangle_um = one.rectangle_um.filter(|_| index == 0 || !marks_regions);
                         merge(&mut done, one);
                     });
                 }
@@ -279,11 +284,31 @@ impl Window {
         }
         CentralPanel::no_frame().show(ui, |ui| {
             self.result.set_pace(self.pace);
-            let one = self.result.ui(ui, pictures, &view, waiting);
+            let is_of_t = view.subject == Subject::Camera(1);
+            self.result.set_marks(if is_of_t { Vec::new() } else { marks });
+            let mut one = self.result.ui(ui, pictures, &view, waiting);
+            one.rectangle_um = one.rectangle_um.filter(|_| !is_of_t || !marks_regions);
             merge(&mut done, one);
         });
         self.change(ui, view);
         done
+    }
+
+    /// Whether rectangles mark where dyes are.
+    fn marks_regions(&self) -> bool {
+        self.settings.side == Side::Align && self.forms.colors.is_shown
+    }
+
+    /// What is marked, where the panes show it.
+    fn marks(&self, pictures: &Pictures) -> Vec<Mark> {
+        let pitch_um = pictures.cameras.as_ref().map(|look| look.pixel_pitch_nm / 1e3);
+        let Some(pitch_um) = pitch_um.filter(|_| self.marks_regions()) else { return Vec::new() };
+        let [left, top] = self.live_corner.map(f64::from);
+        let marks = self.forms.colors.marks().into_iter().map(|(area, color, name)| {
+            let [x, y, width, height] = area.map(f64::from);
+            Mark { area_um: [x - left, y - top, width, height].map(|px| px * pitch_um), color, name }
+        });
+        marks.collect()
     }
 
     /// Another view; what changes within one gesture is undone together.

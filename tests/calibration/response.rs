@@ -1,7 +1,9 @@
 //! Shares of the dyes' light: from single-stained samples, and contradicted by data.
 
 use crate::bench::{Bench, shipped, single_stained, text, told};
-use sofiscope::sofi::response::{MeasuredShare, ResponseSettings, StainedSums, transmitted_share};
+use sofiscope::sofi::response::{
+    Marked, MeasuredShare, PixelArea, ResponseSettings, StainedSums, transmitted_share, transmitted_share_in,
+};
 use sofiscope_hal::{Channel, ExposureIndex};
 use sofiscope_sim::{Scene, World};
 
@@ -42,6 +44,55 @@ fn shares_lie_within_their_uncertainty_in_19_of_20_trials() {
     assert!(within >= 95, "{within} of 100");
     // Nor is the uncertainty stated larger than it is: half of it holds some two thirds.
     assert!(half <= 85, "{half} of 100 within half of it");
+}
+
+/// The mixed sample and, dye by dye, where only one of them is; last, where none is.
+const ALONE: [PixelArea; 4] = [
+    PixelArea { top: 43, left: 30, height: 12, width: 12 },
+    PixelArea { top: 31, left: 19, height: 13, width: 16 },
+    PixelArea { top: 31, left: 38, height: 13, width: 16 },
+    PixelArea { top: 2, left: 4, height: 12, width: 60 },
+];
+
+#[test]
+fn regions_of_a_mixed_sample_give_each_share_within_its_uncertainty() {
+    let scene = shipped("figure-s4");
+    let scene = scene.replace("photons_per_exposure = 5.0", "photons_per_exposure = 50.0");
+    let scene = Scene::from_toml(&scene).unwrap().with_frames(100).unwrap();
+    let truth = [0.02, 0.35, 0.98];
+    for background in [None, Some(ALONE[3])] {
+        let (mut within, mut half, mut largest) = ([0; 3], 0, [0.0_f64; 3]);
+        let mut off = [0.0; 3];
+        for trial in 0..100 {
+            let world = World::new(&scene, 3000 + trial);
+            let mut sums = StainedSums::new([72, 72]);
+            let mut counts = [vec![0; 72 * 72], vec![0; 72 * 72]];
+            for exposure in 0..100 {
+                for channel in Channel::BOTH {
+                    world.frame(channel, ExposureIndex(exposure), &mut counts[channel.index()]).unwrap();
+                }
+                sums.push([&counts[0], &counts[1]]);
+            }
+            let means = sums.means().unwrap();
+            for dye in 0..3 {
+                let marked = Marked { dye: &ALONE[dye..=dye], background };
+                let found = transmitted_share_in(&means, &ResponseSettings::default(), &marked).unwrap();
+                let distance = (found.transmission - truth[dye]).abs();
+                within[dye] += u32::from(distance <= found.uncertainty());
+                half += u32::from(distance <= 0.5 * found.uncertainty());
+                largest[dye] = largest[dye].max(found.uncertainty());
+                off[dye] += (found.transmission - truth[dye]) / 100.0;
+            }
+        }
+        println!(
+            "background {background:?}: {within:?} of 100 within, {half} of 300 within half, off {off:?}"
+        );
+        println!("largest uncertainty {largest:?}");
+        assert!(within.iter().all(|&within| within >= 90), "{within:?} of 100");
+        // Nor is the uncertainty stated larger than it is.
+        assert!(half <= 270, "{half} of 300 within half of it");
+        assert!(largest.iter().all(|&largest| largest < 0.05), "{largest:?}");
+    }
 }
 
 #[test]

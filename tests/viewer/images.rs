@@ -36,7 +36,7 @@ fn one(
     harness.run_steps(2);
 }
 
-fn drag(harness: &mut Harness<'static, Window>, from: Pos2, by: Vec2, keys: Modifiers) {
+pub(crate) fn drag(harness: &mut Harness<'static, Window>, from: Pos2, by: Vec2, keys: Modifiers) {
     one(harness, from, PointerButton::Primary, true, keys);
     for step in 1..=4_u8 {
         harness.event(Event::PointerMoved(from + by * (f32::from(step) / 4.0)));
@@ -48,7 +48,7 @@ fn drag(harness: &mut Harness<'static, Window>, from: Pos2, by: Vec2, keys: Modi
 }
 
 /// Points of the screen per micrometer, of an image that fits its pane.
-fn points_per_um(pane: Rect) -> f64 {
+pub(crate) fn points_per_um(pane: Rect) -> f64 {
     (f64::from(pane.width()) / EXTENT_UM[0]).min(f64::from(pane.height()) / EXTENT_UM[1])
 }
 

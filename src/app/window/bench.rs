@@ -3,6 +3,7 @@
 //! In: commands of the window. Out: newest values, commands to the session's thread and to the run under way.
 //! Never: waits. Fails: [`Refused`] when the session is busy with too many earlier commands.
 
+use super::coloring;
 use super::recent;
 use super::registering;
 use super::save::keep_picture;
@@ -134,6 +135,10 @@ impl Bench for LocalBench {
             }
             BenchCommand::Registration(asked) => {
                 registering::obey(&self.shared, asked);
+                Ok(())
+            }
+            BenchCommand::Colors(asked) => {
+                coloring::obey(&self.shared, asked);
                 Ok(())
             }
             BenchCommand::SetProperty { device, property, .. } if *activity != Activity::Idle => {

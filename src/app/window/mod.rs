@@ -12,6 +12,7 @@
 mod bench;
 pub(super) mod board;
 mod card;
+mod coloring;
 mod keeper;
 mod numbers;
 mod recent;

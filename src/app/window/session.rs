@@ -11,6 +11,7 @@ pub(super) use replay::{UnderWay, speed_of};
 
 use super::board::Onlooker;
 use super::card;
+use super::coloring::{Measured, UnderLive, dyes_in_use};
 use super::numbers::{Counter, RunOutline};
 use super::registering::{Used, in_words};
 use super::shared::Shared;
@@ -29,7 +30,7 @@ use crate::control::preflight::Facts;
 use crate::control::run_state::RunPhase;
 use crate::control::sequencer::{Command, Devices, Status};
 use crate::files::free_bytes;
-use crate::viewer::bench::{Activity, BenchCommand, Gravity, LiveSettings, RunNumbers};
+use crate::viewer::bench::{Activity, BenchCommand, DyeInUse, Gravity, LiveSettings, RunNumbers};
 use arc_swap::ArcSwapOption;
 use crossbeam_channel::Receiver;
 use sofiscope_hal::Region;
@@ -61,6 +62,10 @@ pub(super) struct Known {
     pub(super) registered: ArcSwapOption<Used>,
     /// The instrument's own, for people.
     own_registration: Option<String>,
+    /// Shares of the dyes' light that the next live view and run go by, where they are not the instrument's own.
+    pub(super) measured: ArcSwapOption<Measured>,
+    /// The instrument's own.
+    own_dyes: Arc<Vec<DyeInUse>>,
 }
 
 impl Known {
@@ -75,10 +80,24 @@ impl Known {
         used.or_else(|| self.own_registration.clone())
     }
 
-    /// The source with the registration that is used.
-    fn with_registration(&self, source: Source) -> Source {
+    /// The text of measured shares that the instrument's file names.
+    pub(super) fn own_response(&self) -> Option<String> {
+        self.about.source_of(None, Duration::ZERO, None).calibrations.response
+    }
+
+    /// The shares of the dyes' light that the next live view and run go by.
+    pub(super) fn dyes(&self) -> Arc<Vec<DyeInUse>> {
+        self.measured.load_full().map_or_else(|| Arc::clone(&self.own_dyes), |used| Arc::clone(&used.dyes))
+    }
+
+    /// The source with the registration and the shares that are used.
+    fn with_calibrations(&self, mut source: Source) -> Source {
         let registration = self.registered.load_full().map(|used| used.text.clone());
-        Source { registration: registration.or(source.registration), ..source }
+        source.registration = registration.or(source.registration);
+        match self.measured.load_full() {
+            Some(measured) => measured.applied(source),
+            None => source,
+        }
     }
 }
 
@@ -139,6 +158,7 @@ impl Session {
             | BenchCommand::Seek(_)
             | BenchCommand::Focus(_)
             | BenchCommand::Registration(_)
+            | BenchCommand::Colors(_)
             | BenchCommand::Finish
             | BenchCommand::MoveStage { .. } => Ok(()),
         }
@@ -152,6 +172,7 @@ impl Session {
         self.shared.watch_focus(None, None);
         self.devices = None;
         self.shared.registrar.leave();
+        self.shared.colorist.leave();
         if let Some(known) = self.shared.known.swap(None) {
             self.shared.tell(Gravity::Note, format!("{} is closed", known.instrument.name()));
         }
@@ -181,9 +202,11 @@ impl Session {
         self.shared.lights.store(about.lights.clone().map(Arc::new));
         self.shared.card.store(Some(Arc::new(card)));
         self.watch_lights(&instrument);
-        let own = about.source_of(None, Duration::ZERO, None).registration;
-        let own_registration = own.map(|text| in_words(&text));
-        let known = Known { instrument, text, about, registered: ArcSwapOption::empty(), own_registration };
+        let own = about.source_of(None, Duration::ZERO, None);
+        let own_dyes = Arc::new(dyes_in_use(&own, instrument.dichroic()));
+        let own_registration = own.registration.map(|text| in_words(&text));
+        let (registered, measured) = (ArcSwapOption::empty(), ArcSwapOption::empty());
+        let known = Known { instrument, text, about, registered, own_registration, measured, own_dyes };
         self.shared.known.store(Some(Arc::new(known)));
         self.devices = Some(devices);
         Ok(())
@@ -215,6 +238,7 @@ impl Session {
         let event = live_event(settings);
         let options = path_options(&prepared, &known.about.facts, known.about.patience);
         let outline = RunOutline { series: 1, period: settings.exposure, ..RunOutline::default() };
+        self.shared.colorist.watch(UnderLive { settings: settings.clone(), prepared: prepared.clone() });
         let mut acquired = self.take(&known.instrument, options, vec![event], outline, &Activity::Live)?;
         if let Some(result) = acquired.results.pop() {
             self.last_live = Some((result, prepared));
@@ -405,7 +429,7 @@ fn prepare_live(known: &Known, settings: &LiveSettings) -> Result<Prepared, AppE
         numerical_aperture: known.instrument.numerical_aperture(),
         ..RawAnalysis::default()
     };
-    let source = known.with_registration(known.about.source_of(region_of(settings), settings.exposure, None));
+    let source = known.with_calibrations(known.about.source_of(region_of(settings), settings.exposure, None));
     Prepared::new(AnalysisSettings::try_from(raw).map_err(AppError::usage)?, source)
 }
 
@@ -420,7 +444,7 @@ pub(super) fn judge(known: &Known, text: &str, out: &Path) -> Result<(Plan, Prep
         let list: Vec<String> = misfits.iter().map(ToString::to_string).collect();
         return Err(AppError::Usage(list.join("\n")));
     }
-    let source = known.with_registration(known.about.source(&plan));
+    let source = known.with_calibrations(known.about.source(&plan));
     let settings = AnalysisSettings::try_from(plan.analysis().clone()).map_err(AppError::usage)?;
     let prepared = Prepared::new(settings, source.clone())?;
     let facts = known.about.facts(&plan, &source, &prepared, out, None)?;

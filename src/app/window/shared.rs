@@ -4,6 +4,7 @@
 //! Never: holds a lock while anybody works. Fails: not at all.
 
 use super::board::Board;
+use super::coloring::Colorist;
 use super::recent;
 use super::registering::Registrar;
 use super::save::save_look;
@@ -53,6 +54,8 @@ pub(super) struct Shared {
     pub(super) is_simulated: AtomicBool,
     /// The registration of the cameras from live frames.
     pub(super) registrar: Registrar,
+    /// The shares of the dyes' light from live frames.
+    pub(super) colorist: Colorist,
     events: ArcSwap<Vec<Event>>,
     writing: Mutex<()>,
     /// The replay under way.
@@ -81,6 +84,7 @@ impl Shared {
             stops: AtomicU64::new(0),
             is_simulated: AtomicBool::new(false),
             registrar: Registrar::default(),
+            colorist: Colorist::default(),
             events: ArcSwap::default(),
             writing: Mutex::default(),
             replay: ArcSwapOption::empty(),
@@ -181,6 +185,7 @@ impl Shared {
             lasers: self.lasers.load().as_ref().clone(),
             focus: self.focus.load_full().map(|gauge| self.focus_status(&gauge)),
             registration: self.registrar.status(self.known.load_full().as_deref()),
+            colors: self.colorist.status(self.known.load_full().as_deref()),
             replay: self.replay.load_full().map(|replay| replay.status(self.run.load().exposures)),
             events: self.events.load_full(),
             recent: self.recent.load_full(),

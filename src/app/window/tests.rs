@@ -1,5 +1,6 @@
 //! The bench behind the window, driven as a window drives it, with the simulated microscope.
 
+mod colors;
 mod registration;
 mod served;
 
@@ -24,9 +25,10 @@ fn until<T>(bench: &impl Bench, what: &str, mut look: impl FnMut(&BenchStatus) -
         }
         assert!(
             begun.elapsed() < PATIENCE,
-            "{what} has not come while {:?}, {:?}; {:#?}",
+            "{what} has not come while {:?}, {:?}, {:?}; {:#?}",
             status.activity,
             status.registration.step,
+            status.colors.step,
             status.events
         );
         let _ = crossbeam_channel::after(Duration::from_millis(5)).recv();

@@ -73,7 +73,7 @@ fn fluorophore(form: &Form<'_>) -> RawFluorophore {
 
 fn dichroic(form: &Form<'_>) -> RawDichroic {
     // Where measured coefficients come from is for people.
-    for key in ["date", "reflected_serial", "transmitted_serial", "registration", "blank"] {
+    for key in ["date", "instrument", "reflected_serial", "transmitted_serial", "registration", "blank"] {
         form.prose(key);
     }
     RawDichroic {
@@ -87,7 +87,9 @@ fn dichroic(form: &Form<'_>) -> RawDichroic {
 
 fn coefficient(form: &Form<'_>) -> RawCoefficient {
     form.number_if_any("transmission_uncertainty", 0.0..=1.0);
-    form.prose("recording");
+    for key in ["recording", "date", "regions", "background", "exposures", "registration"] {
+        form.prose(key);
+    }
     RawCoefficient {
         at: place(form, "fluorophore"),
         fluorophore: form.text("fluorophore"),

@@ -2,6 +2,7 @@
 //!
 //! In: nothing. Out: [`BenchStatus`] and its parts. Never: waits, holds pixels. Fails: not at all.
 
+use super::colors::ColorsStatus;
 use super::registration::RegistrationStatus;
 use crate::reconstruction::Quality;
 use serde::{Deserialize, Serialize};
@@ -28,6 +29,8 @@ pub struct BenchStatus {
     pub focus: Option<FocusStatus>,
     /// The registration of the cameras.
     pub registration: RegistrationStatus,
+    /// How the dyes divide between the cameras.
+    pub colors: ColorsStatus,
     /// The replay under way.
     pub replay: Option<ReplayStatus>,
     /// What happened, oldest first; the newest 1000.

@@ -3,8 +3,10 @@
 //! In: the status, what the person has typed. Out: commands into [`Wishes`]. Never: keeps a number of the instrument.
 //! Fails: not at all.
 
+mod align;
 mod below;
 mod bottom;
+mod colors;
 mod focus;
 mod histogram;
 mod instrument;
@@ -18,12 +20,12 @@ mod start;
 mod top;
 mod transport;
 
+pub(super) use align::align;
 pub(super) use below::{Shown, below, profile};
 pub(super) use bottom::bottom;
 pub(super) use instrument::instrument;
 pub(super) use live::live;
 pub(super) use plan::{plan, run};
-pub(super) use registration::registration;
 pub(super) use replay::replay;
 pub(super) use start::start;
 pub(super) use top::top;
@@ -45,6 +47,7 @@ pub(super) struct Forms {
     pub(super) focus: focus::FocusForm,
     pub(super) properties: properties::PropertyForm,
     pub(super) registration: registration::RegistrationForm,
+    pub(super) colors: colors::ColorsForm,
 }
 
 /// What the window itself is asked for.

@@ -40,7 +40,7 @@ impl std::fmt::Debug for RegistrationForm {
 }
 
 /// Draws the procedure.
-pub(in crate::viewer) fn registration(
+pub(super) fn registration(
     ui: &mut Ui,
     status: &BenchStatus,
     form: &mut RegistrationForm,

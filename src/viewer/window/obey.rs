@@ -28,9 +28,14 @@ impl Window {
         if let (Some(rectangle), Some(pitch_um)) = (done.rectangle_um, pitch_um) {
             let [left, top, width, height] = rectangle.map(|um| (um / pitch_um).max(0.0).round() as u32);
             let corner = self.live_corner;
-            if width > 3 && height > 3 && status.activity != Activity::Run {
+            if self.marks_regions() {
+                self.forms.colors.draw(Some([corner[0] + left, corner[1] + top, width, height]));
+            } else if width > 3 && height > 3 && status.activity != Activity::Run {
                 self.forms.live.settings.region = Some([corner[0] + left, corner[1] + top, width, height]);
             }
+        }
+        if done.rectangle_um.is_none() {
+            self.forms.colors.draw(None);
         }
         if let (Some(center), Some(stage), Some(look), Some(pitch_um)) =
             (done.center_um, status.stage, &pictures.cameras, pitch_um)
