@@ -9,11 +9,13 @@
 //! Never: looks at other than pure T, as the noise of R is not shared. Where emitters blink, orders 3 and 4 keep products of
 //! lower cumulants with shared noise.
 
+use super::kernel::dispatch;
 use super::layout::Layout;
 use super::plan::{Element, Term};
 use super::registered::RawSums;
 use crate::sofi::camera::CameraMaps;
 use crate::sofi::registration::{NoiseLine, PADDED_TAPS, Resampler, TAPS};
+use pulp::{Simd, WithSimd};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -157,15 +159,8 @@ impl BiasRows {
         let values = &mut self.parts[part];
         values.clear();
         values.resize(camera.layout.stride, 0.0);
-        for (x, value) in values.iter_mut().enumerate().take(width) {
-            let first = i64::from(places[0][x].0);
-            let weights = product(&places, x, |phase| camera.resampler().across_weights(phase));
-            let shared = usize::try_from(first + MARGIN).ok().and_then(|start| shared.get(start..));
-            // Pixels of R whose partners are beyond the sensor are masked.
-            let Some(shared) = shared.and_then(|shared| shared.first_chunk::<TAPS>()) else { continue };
-            let together: f32 = weights.iter().zip(shared).map(|(weight, shared)| weight * shared).sum();
-            *value = f64::from(together);
-        }
+        let weights = |phase: usize| camera.resampler().across_weights(phase);
+        dispatch(AlongRow { places: &places, weights, shared, values: &mut values[..width] });
         true
     }
 
@@ -191,14 +186,65 @@ impl BiasRows {
             }
             let noise: [&[f32]; TAPS] =
                 std::array::from_fn(|tap| &self.noise[&(rows.len(), first + tap as i64)][start..]);
-            for (index, shared) in shared[start..start + run.len()].iter_mut().enumerate() {
-                let weights = product(&places, start + index, |phase| camera.resampler().down_weights(phase));
-                *shared = weights.iter().zip(noise).map(|(weight, noise)| weight * noise[index]).sum();
-            }
+            let weights = |phase: usize| camera.resampler().down_weights(phase);
+            let values = &mut shared[start..start + run.len()];
+            dispatch(DownLines { places: &places, start, weights, noise, values });
             start += run.len();
         }
         self.shared.insert(rows.to_vec(), shared);
     }
+}
+
+/// What pixels of a row of R share, from what their lines share.
+struct AlongRow<'a, 'b, F> {
+    places: &'a [&'b [(i32, u32)]],
+    weights: F,
+    shared: &'a [f32],
+    values: &'a mut [f64],
+}
+
+impl<'w, F: Fn(usize) -> &'w [f32; PADDED_TAPS]> WithSimd for AlongRow<'_, '_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for (x, value) in self.values.iter_mut().enumerate() {
+            let first = i64::from(self.places[0][x].0);
+            let weights = product(self.places, x, &self.weights);
+            let shared = usize::try_from(first + MARGIN).ok().and_then(|start| self.shared.get(start..));
+            // Pixels of R whose partners are beyond the sensor are masked.
+            let Some(shared) = shared.and_then(|shared| shared.first_chunk::<TAPS>()) else { continue };
+            *value = f64::from(total(std::array::from_fn(|tap| weights[tap] * shared[tap])));
+        }
+    }
+}
+
+/// What lines share at some columns of flipped T, from the noise of the pixels.
+struct DownLines<'a, 'b, F> {
+    places: &'a [&'b [(i32, u32)]],
+    start: usize,
+    weights: F,
+    noise: [&'a [f32]; TAPS],
+    values: &'a mut [f32],
+}
+
+impl<'w, F: Fn(usize) -> &'w [f32; PADDED_TAPS]> WithSimd for DownLines<'_, '_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for (index, value) in self.values.iter_mut().enumerate() {
+            let weights = product(self.places, self.start + index, &self.weights);
+            *value = total(std::array::from_fn(|tap| weights[tap] * self.noise[tap][index]));
+        }
+    }
+}
+
+/// The sum, halves added to each other, as one after another they would wait for each other.
+#[inline(always)]
+fn total(values: [f32; TAPS]) -> f32 {
+    let four: [f32; 4] = std::array::from_fn(|i| values[i] + values[i + 4]);
+    (four[0] + four[2]) + (four[1] + four[3])
 }
 
 /// Adds `scale` times the product of parts to a row.
@@ -220,14 +266,13 @@ fn product<'a>(
     weights: impl Fn(usize) -> &'a [f32; PADDED_TAPS],
 ) -> [f32; TAPS] {
     let (first, phase) = places[0][index];
-    let mut product: [f32; TAPS] = std::array::from_fn(|tap| weights(phase as usize)[TAPS + tap]);
+    let mut product: [f32; TAPS] = *weights(phase as usize)[TAPS..].first_chunk().unwrap_or(&[0.0; TAPS]);
     for other in &places[1..] {
         let (other_first, phase) = other[index];
         let start = TAPS as i32 + first - other_first;
         let start = if (0..=2 * TAPS as i32).contains(&start) { start as usize } else { 0 };
-        for (product, weight) in product.iter_mut().zip(&weights(phase as usize)[start..]) {
-            *product *= weight;
-        }
+        let weights = weights(phase as usize)[start..].first_chunk().unwrap_or(&[0.0; TAPS]);
+        product = std::array::from_fn(|tap| product[tap] * weights[tap]);
     }
     product
 }

@@ -48,7 +48,7 @@ const STRIP_COLUMNS: usize = 128;
 /// The same where columns beside the strip take longer to make, as for a camera that is registered.
 const REGISTERED_STRIP_COLUMNS: usize = 256;
 
-/// The most numbers that a ring holds; with the rows of T that a registration keeps, about a second-level cache.
+/// The most numbers that a ring holds; with what a registration keeps, about a second-level cache.
 const RING_NUMBERS: usize = 64 * 1024;
 
 /// Exposures that the many terms of a high order look at in turn: so few that they stay in the first-level cache.
@@ -96,7 +96,7 @@ pub(super) fn accumulate<T: Count>(block: &Block<'_, T>, band: usize, sums: &mut
 }
 
 /// Runs the work on the widest registers this processor has.
-fn dispatch(work: impl WithSimd<Output = ()>) {
+pub(super) fn dispatch(work: impl WithSimd<Output = ()>) {
     match Arch::new() {
         Arch::Scalar => pulp::Scalar128b.vectorize(work),
         vectors => vectors.dispatch(work),

@@ -5,11 +5,12 @@
 //! Never: changes anything where cameras come aligned, depends on how samples were blocked.
 
 use super::bias::{self, PixelNoise};
-use super::kernel::{Count, Planes};
+use super::kernel::{Count, Planes, dispatch};
 use super::layout::Layout;
 use crate::sofi::camera::CameraMaps;
 use crate::sofi::registration::{RegistrationSettings, Resampler, TransformError};
 use ndarray::Array2;
+use pulp::{Simd, WithSimd};
 use std::sync::Arc;
 
 /// The channel that is brought onto the others.
@@ -86,29 +87,50 @@ impl RawSums {
     }
 }
 
-/// Columns that are summed at a time: few enough that their sums stay in the first-level cache.
-const SUMMED_COLUMNS: usize = 512;
+/// Columns whose sums stay in registers while the samples pass.
+const SUMMED_COLUMNS: usize = 32;
 
 /// Adds the raw pixels of T in the rows of one band, in the order of time.
 pub(super) fn add_raw<T: Count>(samples: &[Planes<'_, T>], layout: &Layout, band: usize, sums: &mut [f64]) {
-    if sums.is_empty() {
-        return;
+    if !sums.is_empty() {
+        dispatch(RawWork { samples, layout, band, sums });
     }
-    pulp::Arch::new().dispatch(
-        #[inline(always)]
-        || {
-            for (y, sums) in layout.rows(band).zip(sums.chunks_exact_mut(layout.stride)) {
-                let mut start = y * layout.width;
-                for sums in sums[..layout.width].chunks_mut(SUMMED_COLUMNS) {
-                    for sample in samples {
-                        let pixels = &sample[TRANSMITTED][start..start + sums.len()];
-                        for (sum, pixel) in sums.iter_mut().zip(pixels) {
-                            *sum += f64::from(pixel.counts());
-                        }
+}
+
+struct RawWork<'a, 'b, T> {
+    samples: &'a [Planes<'b, T>],
+    layout: &'a Layout,
+    band: usize,
+    sums: &'a mut [f64],
+}
+
+impl<T: Count> WithSimd for RawWork<'_, '_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { samples, layout, band, sums } = self;
+        for (y, sums) in layout.rows(band).zip(sums.chunks_exact_mut(layout.stride)) {
+            let mut start = y * layout.width;
+            let (many, rest) = sums[..layout.width].as_chunks_mut::<SUMMED_COLUMNS>();
+            for sums in many {
+                let mut now = *sums;
+                for sample in samples {
+                    let Some(pixels) = sample[TRANSMITTED][start..].first_chunk::<SUMMED_COLUMNS>() else {
+                        continue;
+                    };
+                    for (sum, pixel) in now.iter_mut().zip(pixels) {
+                        *sum += f64::from(pixel.counts());
                     }
-                    start += sums.len();
+                }
+                *sums = now;
+                start += SUMMED_COLUMNS;
+            }
+            for sample in samples {
+                for (sum, pixel) in rest.iter_mut().zip(&sample[TRANSMITTED][start..]) {
+                    *sum += f64::from(pixel.counts());
                 }
             }
-        },
-    );
+        }
+    }
 }

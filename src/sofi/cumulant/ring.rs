@@ -10,7 +10,7 @@ use super::kernel::{Block, Count, Planes};
 use super::plan::{Element, Halo, Plan};
 use super::registered::TRANSMITTED;
 use crate::sofi::prefetch::{LINE_BYTES, prefetch};
-use crate::sofi::registration::{FRAMES_TOGETHER, REGISTER, Resampler, Stretch, TAPS};
+use crate::sofi::registration::{FRAMES_TOGETHER, LINES, REGISTER, Resampler, Stretch, TAPS};
 use pulp::Simd;
 use std::ops::Range;
 
@@ -92,18 +92,8 @@ pub(super) struct Part<'a, T> {
     pub(super) samples: &'a [Planes<'a, T>],
 }
 
-/// Rows of R from the one that is made to that around which its last row of T lies.
-const AHEAD: usize = TAPS / 2 + 1;
-
-/// The pixels of T that a part of a row of R needs and the row above it did not.
-#[inline(always)]
-fn partner(resampler: &Resampler, y: usize, columns: Range<usize>) -> Range<usize> {
-    let width = resampler.size()[1];
-    let [first, last] =
-        [columns.start, columns.end.saturating_sub(1)].map(|x| resampler.nearest(y + AHEAD, x));
-    let (left, right) = (first.1.min(last.1), first.1.max(last.1));
-    first.0 * width + left..first.0 * width + right + 1
-}
+/// Rows of T that the first lines of a part need.
+const FIRST_ROWS: usize = LINES + TAPS;
 
 /// The memory of a ring, beginning on a cache line.
 pub(super) fn aligned(memory: &mut Vec<f32>, numbers: usize) -> &mut [f32] {
@@ -140,13 +130,26 @@ impl<T: Count> Part<'_, T> {
         let beside = LINE_BYTES / size_of::<T>();
         let end = width.min(self.columns.end + beside);
         let start = if self.columns.start == 0 { 0 } else { end.min(self.columns.start + beside) };
-        let channels = block.shape.channels;
-        let partner = block.resampler.map(|resampler| partner(resampler, y, start..end));
+        let is_resampled =
+            |index: usize| block.resampler.is_some() && index % block.shape.channels == TRANSMITTED;
         for sample in self.samples {
-            for (index, pixels) in sample.iter().enumerate() {
-                match &partner {
-                    Some(partner) if index % channels == TRANSMITTED => prefetch(&pixels[partner.clone()]),
-                    _ => prefetch(&pixels[y * width + start..y * width + end]),
+            for (_, pixels) in sample.iter().enumerate().filter(|(index, _)| !is_resampled(*index)) {
+                prefetch(&pixels[y * width + start..y * width + end]);
+            }
+        }
+    }
+
+    /// Asks for the pixels of T around those of a row of R.
+    #[inline(always)]
+    fn prefetch_partner(&self, block: &Block<'_, T>, resampler: &Resampler, y: usize) {
+        let beside = LINE_BYTES / size_of::<T>();
+        let columns = self.padded(block);
+        for x in (columns.start..columns.end + beside).step_by(beside) {
+            let (row, column) = resampler.nearest(y, x);
+            let pixel = row * block.layout.width + column;
+            for sample in self.samples {
+                for lag in 0..block.plan.lags.len() {
+                    prefetch(&sample[lag * block.shape.channels + TRANSMITTED][pixel..pixel + 1]);
                 }
             }
         }
@@ -193,6 +196,18 @@ pub(super) fn advance<S: Simd, T: Count>(
             next.prefetch_line(block, line);
         }
     }
+    if let Some(resampler) = block.resampler {
+        if line + LINES < part.lines(block) {
+            part.prefetch_partner(block, resampler, part.rows.start + row + LINES + TAPS / 2 + 1);
+        }
+        if let Some(next) = next {
+            let rows = [row, row + 1].map(|row| row * FIRST_ROWS / part.rows.len());
+            for ahead in rows[0]..rows[1] {
+                let y = (next.rows.start + ahead).saturating_sub(TAPS / 2);
+                next.prefetch_partner(block, resampler, y);
+            }
+        }
+    }
     convert_line(simd, block, part, line, stretch, numbers);
 }
 
@@ -229,22 +244,20 @@ fn convert_line<S: Simd, T: Count>(
     }
     if let Some(resampler) = resampler {
         let reference = &block.reference[TRANSMITTED][y * layout.stride..][columns];
-        stretch.prepare(resampler, y);
         let lags = block.plan.lags.len();
         let plane = |lag: usize| lag * shape.channels + TRANSMITTED;
         let target =
             |frame: usize| start + left + frame / lags * shape.frame + plane(frame % lags) * shape.plane;
         let pixels = |frame: usize| part.samples[frame / lags][plane(frame % lags)];
+        stretch.reach(simd, resampler, y, pixels, T::counts);
         let frames = part.samples.len() * lags;
         let together = frames - frames % FRAMES_TOGETHER;
         for first in (0..together).step_by(FRAMES_TOGETHER) {
-            let many: [_; FRAMES_TOGETHER] = std::array::from_fn(|frame| pixels(first + frame));
-            let targets = std::array::from_fn(|frame| target(first + frame));
-            stretch.rows(simd, resampler, (first, many), T::counts, reference, (&mut *numbers, targets));
+            let targets: [_; FRAMES_TOGETHER] = std::array::from_fn(|frame| target(first + frame));
+            stretch.row(simd, resampler, (y, first), reference, (&mut *numbers, targets));
         }
         for frame in together..frames {
-            let (one, target) = ([pixels(frame)], [target(frame)]);
-            stretch.rows(simd, resampler, (frame, one), T::counts, reference, (&mut *numbers, target));
+            stretch.row(simd, resampler, (y, frame), reference, (&mut *numbers, [target(frame)]));
         }
     }
 }

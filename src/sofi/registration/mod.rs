@@ -31,7 +31,7 @@ pub use interpolation::{Interpolation, PADDED_TAPS, TAPS};
 pub use matching::{BeadMatch, MatchError, match_beads, without_outliers};
 pub use noise::NoiseLine;
 pub use resampling::{REGISTER, Resampler};
-pub use stretch::{FRAMES_TOGETHER, Stretch};
+pub use stretch::{FRAMES_TOGETHER, LINES, Stretch};
 pub use transform::{Affine, Mirror, ReflectedFromTransmitted, TransformError};
 
 /// How the frames of T are registered on the way into the cumulants.

@@ -81,21 +81,20 @@ fn after(phase: usize, gain: i64) -> (i64, usize) {
     (phases.div_euclid(PHASES as i64), phases.rem_euclid(PHASES as i64) as usize)
 }
 
-/// The weights of all columns of a register.
-///
-/// Twice one after another, so that a ring of as many pixels finds them in its own order wherever it begins.
-pub(super) type RegisterTaps = [[f32; REGISTER]; 2 * REGISTER_TAPS];
+/// The weights of all columns of a register; on cache lines, as those across two of them take twice the time.
+#[derive(Debug, Clone, Default, PartialEq)]
+#[repr(C, align(64))]
+pub(super) struct RegisterTaps(pub(super) [[f32; REGISTER]; REGISTER_TAPS]);
 
-/// The weights of every register by the phase of its first column; columns backwards where they are counted so.
-fn register_taps(line: &Line, weights: &Weights, flips: bool) -> Vec<RegisterTaps> {
+/// The weights of every register by the phase of its first column.
+fn register_taps(line: &Line, weights: &Weights) -> Vec<RegisterTaps> {
     let taps = |phase: usize| {
         let (first, mut register) = (after(phase, line.least).0, RegisterTaps::default());
         for (lane, gain) in line.gains.into_iter().enumerate() {
             let (gained, phase) = after(phase, gain);
             // Lanes whose pixels have moved on begin with one of the zeros before the weights.
             let taps = &weights.padded(phase)[TAPS - (gained - first) as usize..][..REGISTER_TAPS];
-            let lane = if flips { REGISTER - 1 - lane } else { lane };
-            for (register, weight) in register.iter_mut().zip(taps.iter().chain(taps)) {
+            for (register, weight) in register.0.iter_mut().zip(taps) {
                 register[lane] = *weight;
             }
         }
@@ -154,8 +153,8 @@ impl Resampler {
             height: transform.size[0],
             width: transform.size[1],
             flips,
-            down_taps: register_taps(&down, &weights, flips[1]),
-            across_taps: register_taps(&across, &light, false),
+            down_taps: register_taps(&down, &weights),
+            across_taps: register_taps(&across, &light),
             down,
             across,
             weights,
@@ -221,13 +220,18 @@ impl Resampler {
         (onto(row, self.height, self.flips[0]), onto(column, self.width, self.flips[1]))
     }
 
+    /// Row of T for that of flipped T, the nearest one of the sensor.
+    #[inline(always)]
+    pub(super) fn sensor_row(&self, row: i64) -> usize {
+        onto(row, self.height, self.flips[0])
+    }
+
     /// Row and column of T nearest to a pixel of R.
     #[inline(always)]
     #[must_use]
     pub fn nearest(&self, row: usize, column: usize) -> (usize, usize) {
-        let x = self.across.at(row as i64, column as i64);
-        let column = x.round() as i64;
-        self.sensor(self.down.at(row as i64, column).round() as i64, column)
+        let column = rounded(self.across.at(row as i64, column as i64));
+        self.sensor(rounded(self.down.at(row as i64, column)), column)
     }
 
     /// Pixels of R for which a pixel of T outside its sensor, or one that is masked, would be needed.
@@ -271,7 +275,7 @@ impl Resampler {
         &self.across_taps[phase]
     }
 
-    /// The weights of registers of flipped T's columns by phase, columns in the order of the sensor.
+    /// The weights of registers of flipped T's columns by phase.
     #[inline(always)]
     pub(super) fn down_taps(&self, phase: usize) -> &RegisterTaps {
         &self.down_taps[phase]
@@ -282,6 +286,14 @@ impl Resampler {
     pub(super) fn flips(&self) -> [bool; 2] {
         self.flips
     }
+}
+
+/// The nearest whole number, without the call that it is where registers are narrow.
+#[inline(always)]
+fn rounded(place: f64) -> i64 {
+    let place = place + 0.5;
+    let toward_zero = place as i64;
+    toward_zero - i64::from(place < toward_zero as f64)
 }
 
 /// The pixel of the sensor, the nearest one for those outside.
@@ -305,9 +317,8 @@ mod tests {
         stretch.begin(resampler, 0..height, (0, width.div_ceil(REGISTER)), 1);
         for y in 0..height {
             let (mut row, reference) = (vec![0.0; width], vec![0.0; width]);
-            stretch.prepare(resampler, y);
-            let target = (&mut row[..], [0]);
-            stretch.rows(pulp::Scalar128b, resampler, (0, [frame]), f32::from, &reference, target);
+            stretch.reach(pulp::Scalar128b, resampler, y, |_| frame, f32::from);
+            stretch.row(pulp::Scalar128b, resampler, (y, 0), &reference, (&mut row[..], [0]));
             all.extend(row);
         }
         all

@@ -1,58 +1,89 @@
-//! Frames of camera T on the pixels of camera R: a stretch of columns, row by row downwards, for some frames at a time.
+//! Frames of camera T on the pixels of camera R: a stretch of columns, row by row downwards, for many frames at a time.
 //!
-//! The first pass makes values on the line of a row, at the columns of T; the second makes the values at the columns
-//! of R from these. Every pixel of T is converted once: each register of columns keeps the rows that the next line
-//! needs again, wherever the line runs, so that inclined lines need no more memory than straight ones.
+//! The first pass makes values on the lines of some rows of R, at the columns of T; the second makes the values at the
+//! columns of R from these, row by row. All frames are taken down a few registers of columns before the next ones, so that
+//! their weights and pixels stay in the first-level cache, and each pixel is converted for many lines.
 //!
 //! In: rows of T as the camera gave them, the [`Resampler`]. Out: rows on the pixels of R about a reference, counts.
-//! Never: allocates for a stretch no larger than one before it, makes lines in another order than downwards.
+//! Never: allocates for a stretch no larger than one before it.
 
-use super::resampling::{REGISTER, REGISTER_TAPS, Resampler};
-use crate::sofi::prefetch::prefetch;
+use super::resampling::{REGISTER, REGISTER_TAPS, RegisterTaps, Resampler};
+use crate::sofi::prefetch::{LINE_BYTES, prefetch};
 use pulp::Simd;
 use std::ops::Range;
 
-/// Most frames that are worked on together.
+/// Most frames that share a register of weights.
 pub const FRAMES_TOGETHER: usize = 4;
 
-/// Pixels of one register of columns in the order of the sensor, in the rows that its line needs now; a row is always
-/// in the same place.
-type Kept = [[f32; REGISTER]; REGISTER_TAPS];
+/// Rows of R whose lines are made together: the more, the fewer pixels are converted twice, but the more values between
+/// the passes have to stay in the second-level cache.
+pub const LINES: usize = 18;
 
-/// One register of R's columns in the row that is made.
+/// Registers of columns that some frames are taken down one after another, so that a memory page of a row is looked at
+/// once for all of them; their weights about fill a first-level cache.
+const TILE: usize = 4;
+
+/// A register of columns in one row of T, in counts, frame by frame.
+#[derive(Debug, Clone, Copy, Default)]
+#[repr(C, align(64))]
+struct Pixels([[f32; REGISTER]; FRAMES_TOGETHER]);
+
+/// Where the lines of some rows of R are in a register of flipped T's columns.
 #[derive(Debug, Clone, Copy)]
-struct Across {
-    /// Where the values between the passes that it needs begin.
-    start: usize,
-    phase: usize,
+struct Lines<'a> {
+    /// First row of flipped T, and the weights from there on, of every line.
+    lines: [(i64, &'a RegisterTaps); LINES],
+    count: usize,
 }
 
-/// One register of flipped T's columns on the line of the row that is made.
-#[derive(Debug, Clone)]
-struct Down {
-    phase: usize,
-    /// Weight of the first of the rows that are kept.
-    turn: usize,
-    /// Rows of flipped T that are needed for the first time.
-    fresh: Range<i64>,
-    /// Column of the sensor where its pixels begin; none where some are beyond it.
-    column: Option<usize>,
+impl<'a> Lines<'a> {
+    #[inline(always)]
+    fn new(resampler: &'a Resampler, rows: &Range<usize>, register: i64) -> Self {
+        let lines = std::array::from_fn(|line| {
+            let row = (rows.start + line).min(rows.end.saturating_sub(1));
+            let (first, phase) = resampler.down_register(row as i64, register);
+            (first, resampler.down_taps(phase))
+        });
+        Self { lines, count: rows.len().min(LINES) }
+    }
+
+    #[inline(always)]
+    fn prefetch(&self) {
+        for (_, taps) in &self.lines[..self.count] {
+            prefetch(taps.0.as_flattened());
+        }
+    }
+
+    /// Rows of flipped T that they need; lines go down with the rows of R.
+    #[inline(always)]
+    fn rows(&self) -> Range<i64> {
+        self.lines[0].0..self.lines[LINES - 1].0 + REGISTER_TAPS as i64
+    }
 }
 
 /// Some columns of R on the way down, with what is needed from line to line.
 #[derive(Debug, Default)]
 pub struct Stretch {
+    /// Rows of R.
+    rows: Range<usize>,
     /// First register of R's columns.
     first: i64,
     /// First register of flipped T's columns.
     begin: i64,
-    across: Vec<Across>,
-    down: Vec<Down>,
-    /// Frame by frame, the registers of flipped T.
-    kept: Vec<Kept>,
-    between: Vec<[f32; REGISTER]>,
-    /// The same in the order of flipped T.
-    flipped: Vec<f32>,
+    /// Column of the sensor where each register's pixels begin; none where some are beyond it.
+    columns: Vec<Option<usize>>,
+    /// Of every register of R's columns in the row that is made: where the values on the line that it needs begin, and
+    /// the phase of its weights.
+    across: Vec<(usize, usize)>,
+    frames: usize,
+    /// Rows of R whose lines are made.
+    made: Range<usize>,
+    /// The rows of one register of T that these lines need.
+    pixels: Vec<Pixels>,
+    /// Values on the lines: row of R, then frame, then the registers of flipped T.
+    between: Vec<f32>,
+    /// Where these begin, so that registers do not lie across cache lines.
+    aligned: usize,
 }
 
 impl Stretch {
@@ -71,211 +102,225 @@ impl Stretch {
         // What a register needs of the values between the passes grows evenly with the row.
         let ends = [rows.start, rows.end.saturating_sub(1)].map(|row| row as i64);
         let first = ends.map(|row| resampler.across_register(row, self.first).0);
-        let last =
-            ends.map(|row| resampler.across_register(row, last).0 + (REGISTER + REGISTER_TAPS - 1) as i64);
+        let last = ends.map(|row| resampler.across_register(row, last).0 + NEEDED as i64);
         self.begin = first[0].min(first[1]).div_euclid(REGISTER as i64);
         let end = last[0].max(last[1]).div_euclid(REGISTER as i64) + 1;
-        let (begin, flips) = (self.begin, resampler.flips());
         let [_, width] = resampler.size();
-        self.down.clear();
-        self.down.extend((begin..end).map(|register| {
+        let flips = resampler.flips()[1];
+        self.columns.clear();
+        self.columns.extend((self.begin..end).map(|register| {
             let j = register * REGISTER as i64;
-            let start = if flips[1] { (width as i64) - REGISTER as i64 - j } else { j };
-            let column = usize::try_from(start).ok().filter(|start| start + REGISTER <= width);
-            Down { phase: 0, turn: 0, fresh: Range { start: 0, end: i64::MIN }, column }
+            let start = if flips { (width as i64) - REGISTER as i64 - j } else { j };
+            usize::try_from(start).ok().filter(|start| start + REGISTER <= width)
         }));
+        (self.rows, self.frames, self.made) = (rows, frames, 0..0);
         self.across.clear();
-        self.across.resize(registers, Across { start: 0, phase: 0 });
-        self.between.resize(FRAMES_TOGETHER * self.down.len(), [0.0; REGISTER]);
-        self.flipped.resize(FRAMES_TOGETHER * self.down.len() * REGISTER, 0.0);
-        let kept = frames * self.down.len();
-        self.kept.resize(self.kept.len().max(kept), Kept::default());
+        self.across.resize(registers, (0, 0));
+        let numbers = LINES * frames * self.columns.len() * REGISTER + LINE_BYTES / size_of::<f32>();
+        self.between.resize(self.between.len().max(numbers), 0.0);
+        self.aligned = self.between.as_ptr().align_offset(LINE_BYTES).min(LINE_BYTES / size_of::<f32>());
     }
 
-    /// Makes ready for the next row of R.
+    /// Gets ready for a row of R; makes the lines of it and of some after it, unless they are made.
+    ///
+    /// `frame` has the pixels of each of this stretch's frames.
     #[inline(always)]
-    pub fn prepare(&mut self, resampler: &Resampler, row: usize) {
-        let row = row as i64;
+    pub fn reach<'a, S: Simd, T: Copy + 'a>(
+        &mut self,
+        simd: S,
+        resampler: &Resampler,
+        row: usize,
+        frame: impl Fn(usize) -> &'a [T],
+        count: impl Fn(T) -> f32,
+    ) {
         for (register, across) in (self.first..).zip(&mut self.across) {
-            let (first, phase) = resampler.across_register(row, register);
-            *across = Across { start: (first - self.begin * REGISTER as i64) as usize, phase };
-            prefetch(resampler.across_taps(phase)[..REGISTER_TAPS].as_flattened());
+            let (start, phase) = resampler.across_register(row as i64, register);
+            *across = ((start - self.begin * REGISTER as i64) as usize, phase);
         }
-        for (register, down) in (self.begin..).zip(&mut self.down) {
-            let (first, phase) = resampler.down_register(row, register);
-            let turn = REGISTER_TAPS - first.rem_euclid(REGISTER_TAPS as i64) as usize;
-            let end = first + REGISTER_TAPS as i64;
-            prefetch(resampler.down_taps(phase)[turn..][..REGISTER_TAPS].as_flattened());
-            (down.phase, down.turn, down.fresh) = (phase, turn, down.fresh.end.max(first)..end);
+        if self.made.contains(&row) {
+            return;
+        }
+        self.made = row..self.rows.end.max(row + 1).min(row + LINES);
+        let (made, begin) = (self.made.clone(), self.begin);
+        let tile = |start: usize| -> [Lines<'_>; TILE] {
+            std::array::from_fn(|index| Lines::new(resampler, &made, begin + (start + index) as i64))
+        };
+        let together = self.frames - self.frames % FRAMES_TOGETHER;
+        let mut now = tile(0);
+        for start in (0..self.columns.len()).step_by(TILE) {
+            let later = tile(start + TILE);
+            let registers = TILE.min(self.columns.len() - start);
+            for first in (0..together).step_by(FRAMES_TOGETHER) {
+                let many: [_; FRAMES_TOGETHER] = std::array::from_fn(|index| frame(first + index));
+                for (index, lines) in now[..registers].iter().enumerate() {
+                    self.down(simd, resampler, (start + index, lines), (first, many), &count);
+                    if first == 0 {
+                        later[index].prefetch();
+                    }
+                }
+            }
+            for first in together..self.frames {
+                for (index, lines) in now[..registers].iter().enumerate() {
+                    self.down(simd, resampler, (start + index, lines), (first, [frame(first)]), &count);
+                }
+            }
+            now = later;
         }
     }
 
-    /// The values of some frames of T in the row that is ready, about the reference.
+    /// Makes the values on the lines at a register of columns, for some frames.
+    #[inline(always)]
+    fn down<S: Simd, T: Copy, const FRAMES: usize>(
+        &mut self,
+        simd: S,
+        resampler: &Resampler,
+        (index, lines): (usize, &Lines<'_>),
+        (first, frames): (usize, [&[T]; FRAMES]),
+        count: &impl Fn(T) -> f32,
+    ) {
+        let rows = lines.rows();
+        let needed = (rows.end - rows.start) as usize;
+        self.pixels.resize(self.pixels.len().max(needed), Pixels::default());
+        let pixels = &mut self.pixels[..needed];
+        let place = Place { resampler, register: self.begin + index as i64, column: self.columns[index] };
+        for (row, pixels) in rows.clone().zip(&mut *pixels) {
+            place.pixels(row, frames, count, &mut pixels.0);
+        }
+        let registers = self.columns.len();
+        let between = &mut self.between[self.aligned..];
+        for (line, (top, weights)) in lines.lines[..lines.count].iter().enumerate() {
+            let pixels = &pixels[(top - rows.start) as usize..];
+            let Some(pixels) = pixels.first_chunk::<REGISTER_TAPS>() else { return };
+            for lane in (0..REGISTER).step_by(S::F32_LANES) {
+                let mut sums = [simd.splat_f32s(0.0); FRAMES];
+                for (weights, pixels) in weights.0.iter().zip(pixels) {
+                    let weight = load::<S>(weights, lane);
+                    for (sum, pixels) in sums.iter_mut().zip(&pixels.0) {
+                        *sum = simd.mul_add_e_f32s(weight, load::<S>(pixels, lane), *sum);
+                    }
+                }
+                for (frame, sum) in sums.into_iter().enumerate() {
+                    let register = (line * self.frames + first + frame) * registers + index;
+                    let start = register * REGISTER + lane;
+                    S::as_mut_simd_f32s(&mut between[start..start + S::F32_LANES]).0[0] = sum;
+                }
+            }
+        }
+    }
+
+    /// The values of some frames of T in a row of R whose line is made, about the reference.
     ///
     /// `first` is the number of the first of them among the frames of this stretch; `numbers` has their rows at
     /// `starts`.
     #[inline(always)]
-    pub fn rows<S: Simd, T: Copy, const FRAMES: usize>(
-        &mut self,
+    pub fn row<S: Simd, const FRAMES: usize>(
+        &self,
         simd: S,
         resampler: &Resampler,
-        (first, frames): (usize, [&[T]; FRAMES]),
-        count: impl Fn(T) -> f32,
+        (row, first): (usize, usize),
         reference: &[f32],
         (numbers, starts): (&mut [f32], [usize; FRAMES]),
     ) {
-        let registers = self.down.len();
-        let kept = &mut self.kept[first * registers..][..FRAMES * registers];
-        // All fresh rows first: what was written just now is slow to read.
-        for (index, (down, register)) in self.down.iter().zip(self.begin..).enumerate() {
-            for row in down.fresh.clone() {
-                let slot = row.rem_euclid(REGISTER_TAPS as i64) as usize;
-                let place = Place::new(resampler, (row, register), down.column);
-                for (frame, pixels) in frames.iter().enumerate() {
-                    kept[frame * registers + index][slot] = place.pixels(pixels, &count);
-                }
+        let columns = self.columns.len() * REGISTER;
+        let line = ((row - self.made.start) * self.frames + first) * columns;
+        let between = &self.between[self.aligned + line..][..FRAMES * columns];
+        for ((index, reference), &(start, phase)) in reference.chunks(REGISTER).enumerate().zip(&self.across)
+        {
+            if first == 0 {
+                let (_, phase) = resampler.across_register(row as i64 + 1, self.first + index as i64);
+                prefetch(resampler.across_taps(phase).0.as_flattened());
             }
-            let later = Place::new(resampler, (down.fresh.end, register), down.column);
-            frames.iter().for_each(|pixels| later.prefetch(pixels));
-        }
-        let flips = resampler.flips()[1];
-        for (index, down) in self.down.iter().enumerate() {
-            let weights = &resampler.down_taps(down.phase)[down.turn..];
-            let pixels = std::array::from_fn(|frame| as_flat(&kept[frame * registers + index]));
-            let sums = weighted::<S, FRAMES, KEPT, REGISTER>(simd, weights, pixels);
-            let index = if flips { registers - 1 - index } else { index };
-            for (frame, sums) in sums.into_iter().enumerate() {
-                self.between[frame * registers + index] = sums;
-            }
-        }
-        let mut between = self.between.as_flattened();
-        if flips {
-            let columns = registers * REGISTER;
-            for (flipped, between) in
-                self.flipped.chunks_mut(columns).zip(between.chunks(columns)).take(FRAMES)
-            {
-                for (flipped, value) in flipped.iter_mut().zip(between.iter().rev()) {
-                    *flipped = *value;
-                }
-            }
-            between = &self.flipped;
-        }
-        for (index, (across, reference)) in self.across.iter().zip(reference.chunks(REGISTER)).enumerate() {
-            let weights = resampler.across_taps(across.phase);
-            let pixels = std::array::from_fn(|frame| {
-                let start = frame * registers * REGISTER + across.start;
-                between[start..].first_chunk().unwrap_or(&[0.0; NEEDED])
+            let weights = &resampler.across_taps(phase).0;
+            let pixels: [&[f32; NEEDED]; FRAMES] = std::array::from_fn(|frame| {
+                between[frame * columns + start..].first_chunk().unwrap_or(&[0.0; NEEDED])
             });
-            let values = weighted::<S, FRAMES, NEEDED, 1>(simd, weights, pixels);
-            for (values, start) in values.iter().zip(starts) {
-                let target = &mut numbers[start + index * REGISTER..][..reference.len()];
-                match (target.first_chunk_mut::<REGISTER>(), reference.first_chunk::<REGISTER>()) {
-                    (Some(target), Some(reference)) => *target = about(values, reference),
-                    _ => {
-                        for ((target, value), reference) in target.iter_mut().zip(values).zip(reference) {
-                            *target = value - reference;
-                        }
+            for lane in (0..REGISTER).step_by(S::F32_LANES) {
+                let mut sums = [simd.splat_f32s(0.0); FRAMES];
+                for (tap, weights) in weights.iter().enumerate() {
+                    let weight = load::<S>(weights, lane);
+                    for (sum, pixels) in sums.iter_mut().zip(pixels) {
+                        *sum = simd.mul_add_e_f32s(weight, load::<S>(pixels, tap + lane), *sum);
                     }
+                }
+                for (sum, start) in sums.into_iter().zip(starts) {
+                    let target = &mut numbers[start + index * REGISTER..][..reference.len()];
+                    store_about(simd, sum, reference, lane, target);
                 }
             }
         }
     }
 }
 
-/// Pixels that are kept of one register.
-const KEPT: usize = REGISTER * REGISTER_TAPS;
+/// Stores a register about the reference from a lane on, or as much of it as there is room for.
+#[inline(always)]
+fn store_about<S: Simd>(simd: S, values: S::f32s, reference: &[f32], lane: usize, target: &mut [f32]) {
+    let lanes = lane..lane + S::F32_LANES;
+    if let (Some(target), Some(reference)) = (target.get_mut(lanes.clone()), reference.get(lanes)) {
+        S::as_mut_simd_f32s(target).0[0] = simd.sub_f32s(values, load::<S>(reference, 0));
+        return;
+    }
+    let mut all = [0.0; REGISTER];
+    S::as_mut_simd_f32s(&mut all[..S::F32_LANES]).0[0] = values;
+    for ((target, zero), value) in target.iter_mut().zip(reference).skip(lane).zip(all) {
+        *target = value - zero;
+    }
+}
 
 /// Values between the passes that one register needs.
 const NEEDED: usize = REGISTER + REGISTER_TAPS - 1;
 
 #[inline(always)]
-fn as_flat(kept: &Kept) -> &[f32; KEPT] {
-    kept.as_flattened().first_chunk().unwrap_or(&[0.0; KEPT])
+fn load<S: Simd>(numbers: &[f32], at: usize) -> S::f32s {
+    S::as_simd_f32s(&numbers[at..at + S::F32_LANES]).0[0]
 }
 
-/// Where a register of one row of flipped T is on the sensor.
+/// Where a register of flipped T's columns is on the sensor.
 #[derive(Debug, Clone, Copy)]
 struct Place<'a> {
     resampler: &'a Resampler,
-    row: i64,
-    first: i64,
-    /// Its first pixel in a frame; none where some are beyond the sensor.
-    start: Option<usize>,
+    register: i64,
+    /// Its first pixel in a row; none where some are beyond the sensor.
+    column: Option<usize>,
 }
 
-impl<'a> Place<'a> {
+impl Place<'_> {
+    /// The pixels of some frames in a row of flipped T, in counts.
     #[inline(always)]
-    fn new(resampler: &'a Resampler, (row, register): (i64, i64), column: Option<usize>) -> Self {
-        let first = register * REGISTER as i64;
-        let [_, width] = resampler.size();
-        let start = column.map(|column| resampler.sensor(row, first).0 * width + column);
-        Self { resampler, row, first, start }
-    }
-
-    /// A register of pixels in counts, in the order of the sensor.
-    #[inline(always)]
-    fn pixels<T: Copy>(&self, frame: &[T], count: &impl Fn(T) -> f32) -> [f32; REGISTER] {
-        let raw = self.start.and_then(|start| frame.get(start..)?.first_chunk::<REGISTER>());
-        let Some(raw) = raw else { return self.pixels_at_the_edge(frame, count) };
-        let mut pixels = [0.0; REGISTER];
-        for (pixel, raw) in pixels.iter_mut().zip(raw) {
-            *pixel = count(*raw);
+    fn pixels<T: Copy, const FRAMES: usize>(
+        &self,
+        row: i64,
+        frames: [&[T]; FRAMES],
+        count: &impl Fn(T) -> f32,
+        pixels: &mut [[f32; REGISTER]; FRAMES_TOGETHER],
+    ) {
+        let [_, width] = self.resampler.size();
+        let start = self.column.map(|column| self.resampler.sensor_row(row) * width + column);
+        let flips = self.resampler.flips()[1];
+        for (frame, pixels) in frames.iter().zip(pixels) {
+            let raw = start.and_then(|start| frame.get(start..)?.first_chunk::<REGISTER>());
+            match raw {
+                None => self.pixels_at_the_edge(row, frame, count, pixels),
+                Some(raw) if flips => *pixels = std::array::from_fn(|lane| count(raw[REGISTER - 1 - lane])),
+                Some(raw) => *pixels = std::array::from_fn(|lane| count(raw[lane])),
+            }
         }
-        pixels
     }
 
     /// The same where some are beyond the sensor: the nearest ones.
     #[cold]
     #[inline(never)]
-    fn pixels_at_the_edge<T: Copy>(&self, frame: &[T], count: &impl Fn(T) -> f32) -> [f32; REGISTER] {
+    fn pixels_at_the_edge<T: Copy>(
+        &self,
+        row: i64,
+        frame: &[T],
+        count: &impl Fn(T) -> f32,
+        pixels: &mut [f32; REGISTER],
+    ) {
         let [_, width] = self.resampler.size();
-        std::array::from_fn(|lane| {
-            let lane = if self.resampler.flips()[1] { REGISTER - 1 - lane } else { lane };
-            let (row, column) = self.resampler.sensor(self.row, self.first + lane as i64);
-            count(frame[row * width + column])
-        })
-    }
-
-    #[inline(always)]
-    fn prefetch<T>(&self, frame: &[T]) {
-        if let Some(pixel) = self.start.and_then(|start| frame.get(start..start + 1)) {
-            prefetch(pixel);
+        for (lane, pixel) in pixels.iter_mut().enumerate() {
+            let column = self.register * REGISTER as i64 + lane as i64;
+            let (row, column) = self.resampler.sensor(row, column);
+            *pixel = count(frame[row * width + column]);
         }
     }
-}
-
-/// Sums of weighted registers, frame by frame; the next one begins `STEP` pixels further.
-///
-/// A register of weights serves all frames, as weights come from farther away than pixels.
-#[inline(always)]
-fn weighted<S: Simd, const FRAMES: usize, const PIXELS: usize, const STEP: usize>(
-    simd: S,
-    weights: &[[f32; REGISTER]],
-    pixels: [&[f32; PIXELS]; FRAMES],
-) -> [[f32; REGISTER]; FRAMES] {
-    let load = |numbers: &[f32], at: usize| S::as_simd_f32s(&numbers[at..at + S::F32_LANES]).0[0];
-    let mut all = [[0.0; REGISTER]; FRAMES];
-    let Some(weights) = weights.first_chunk::<REGISTER_TAPS>() else { return all };
-    for lane in (0..REGISTER).step_by(S::F32_LANES) {
-        let mut sums = [simd.splat_f32s(0.0); FRAMES];
-        for (tap, weights) in weights.iter().enumerate() {
-            let weight = load(weights, lane);
-            for (sum, pixels) in sums.iter_mut().zip(pixels) {
-                *sum = simd.mul_add_e_f32s(weight, load(pixels, tap * STEP + lane), *sum);
-            }
-        }
-        for (all, sum) in all.iter_mut().zip(sums) {
-            S::as_mut_simd_f32s(&mut all[lane..lane + S::F32_LANES]).0[0] = sum;
-        }
-    }
-    all
-}
-
-#[inline(always)]
-fn about(values: &[f32; REGISTER], reference: &[f32; REGISTER]) -> [f32; REGISTER] {
-    let mut differences = [0.0; REGISTER];
-    for (difference, (value, zero)) in differences.iter_mut().zip(values.iter().zip(reference)) {
-        *difference = value - zero;
-    }
-    differences
 }
