@@ -88,7 +88,11 @@ pub struct DispatchReport {
     pub lost_beside_preview: u64,
 }
 
-/// Pairs now and then for whoever looks at the cameras: none while anybody is short of time.
+/// Shortest time between two pairs for whoever looks while somebody is short of time.
+const LOOK_UNDER_PRESSURE: Duration = Duration::from_secs(1);
+
+/// Pairs now and then for whoever looks at the cameras: one a second while the analysis is short of time, as a picture
+/// that stands still looks like a camera that does, and none while the recording is.
 #[derive(Debug)]
 pub struct Tap {
     /// To the thread that looks; it has one place, and a pair that finds it taken is not looked at.
@@ -100,8 +104,13 @@ pub struct Tap {
 }
 
 impl Tap {
-    fn offer(&mut self, exposure: ExposureIndex, [reflected, transmitted]: [&Frame; 2]) {
-        if self.last.is_some_and(|last| last.elapsed() < self.every) {
+    fn offer(&mut self, exposure: ExposureIndex, [reflected, transmitted]: [&Frame; 2], pressure: Pressure) {
+        let every = match pressure {
+            Pressure::None => self.every,
+            Pressure::NoPreview => self.every.max(LOOK_UNDER_PRESSURE),
+            Pressure::NoAnalysis => return,
+        };
+        if self.last.is_some_and(|last| last.elapsed() < every) {
             return;
         }
         let frames = [reflected.clone(), transmitted.clone()];
@@ -212,11 +221,11 @@ impl Dispatch {
         books.pressure = books.shedding.step(recording, analysis);
         self.gauge.set(books.pressure);
         let analysis = self.analyze(&resolved, books.pressure);
-        if let (Some(tap), Pressure::None) = (&mut self.to_look, books.pressure)
+        if let Some(tap) = &mut self.to_look
             && let ([Side::Frame(reflected), Side::Frame(transmitted)], PairState::Paired) =
                 (&resolved.sides, resolved.pair)
         {
-            tap.offer(resolved.exposure, [reflected, transmitted]);
+            tap.offer(resolved.exposure, [reflected, transmitted], books.pressure);
         }
         if analysis == Analysis::LeftOut(Loss::QueueFull) && books.pressure == Pressure::None {
             books.lost_beside_preview += 1;
