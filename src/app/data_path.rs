@@ -397,10 +397,16 @@ fn analysis_stages<P: Send + Sync + 'static>(
 }
 
 /// The thread that calls this runs when nobody more important wants to; where that is refused, it runs as others.
-pub(super) fn yield_to_others() {
+fn yield_to_others() {
+    be_nice(10);
+}
+
+/// The thread that calls this, and those that it starts, run after others that are less nice; nice values are from 0
+/// to 19.
+pub(super) fn be_nice(nice: i32) {
     let this_thread = rustix::thread::gettid();
-    if let Err(errno) = rustix::process::setpriority_process(Some(this_thread), 10) {
-        tracing::debug!(%errno, "the preview runs with the priority of the others");
+    if let Err(errno) = rustix::process::setpriority_process(Some(this_thread), nice) {
+        tracing::debug!(%errno, "a thread runs with the priority of the others");
     }
 }
 

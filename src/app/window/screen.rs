@@ -6,7 +6,7 @@
 use super::remote::RemoteBench;
 use super::wire::FromWindow;
 use crate::app::AppError;
-use crate::app::data_path::yield_to_others;
+use crate::app::data_path::be_nice;
 use crate::viewer::bench::{Activity, Bench, Gravity};
 use crate::viewer::{Presets, Window, WindowSettings};
 use std::os::fd::AsFd;
@@ -17,6 +17,8 @@ use std::time::{Duration, Instant};
 const STORED: &str = "window";
 /// Where it keeps presets.
 const STORED_PRESETS: &str = "presets";
+/// What draws gives way to what acquires and analyzes, and answers a hand before previews are worked out.
+const NICE: i32 = 5;
 /// A second wish to close within this time is meant.
 const TWICE: Duration = Duration::from_secs(5);
 
@@ -26,8 +28,8 @@ const TWICE: Duration = Duration::from_secs(5);
 /// [`AppError::Usage`] when it was not started by an instrument.
 pub(in crate::app) fn run() -> Result<(), AppError> {
     let begun = Instant::now();
-    // Threads that are started from here on inherit it: what draws gives way to what acquires.
-    yield_to_others();
+    // Threads that are started from here on inherit it.
+    be_nice(NICE);
     let (wire, stop) = lines()?;
     let (bench, exchange) = RemoteBench::start(wire, stop)?;
     let options = eframe::NativeOptions {
