@@ -66,7 +66,7 @@ fn no_state_has_a_modal_dialog() {
     for activity in [Closed, Opening, Idle, Live, Run, Paused, Replay, Ending] {
         let (_, mut harness) = showing(open(activity.clone()));
         press(&mut harness, Modifiers::NONE, Key::F1);
-        assert!(harness.ctx.memory(|memory| memory.top_modal_layer()).is_none(), "{activity:?}");
+        assert!(harness.ctx.memory(egui::Memory::top_modal_layer).is_none(), "{activity:?}");
     }
 }
 
@@ -74,7 +74,7 @@ fn no_state_has_a_modal_dialog() {
 fn kept(harness: &mut Harness<'static, Window>, fake: &crate::fake::Fake) -> ([f64; 4], [usize; 2]) {
     press(harness, Modifiers::NONE, Key::E);
     let asked = fake.asked.borrow();
-    let request = &asked.kept.last().unwrap().request;
+    let request = &asked.kept.last().expect("the picture is kept").request;
     (request.part_um, request.size)
 }
 
@@ -190,7 +190,7 @@ struct Counting(Rc<Cell<usize>>);
 impl TestRenderer for Counting {
     fn handle_delta(&mut self, delta: &mut egui::TexturesDelta) {
         // Writing that is new to the screen brings parts of its letters, which are no images.
-        let whole = delta.set.iter().flat_map(|(_, images)| images).filter(|image| image.is_whole());
+        let whole = delta.set.values().flatten().filter(|image| image.is_whole());
         self.0.set(self.0.get() + whole.count());
         delta.clear();
     }

@@ -57,8 +57,9 @@ pub(super) fn keep(bench: &LocalBench) -> std::result::Result<(), AppError> {
 /// A window from its start to its end.
 fn shown(bench: &LocalBench) -> Result<(Left, ExitStatus)> {
     let (mut window, wire, stop) = start()?;
-    let left = serve(bench, wire, stop);
+    let left = serve(bench, &wire, stop);
     // A window that is served no more closes itself.
+    drop(wire);
     Ok((left, window.wait()?))
 }
 

@@ -34,7 +34,7 @@ pub(super) enum Left {
 }
 
 /// Serves a window until it is gone.
-pub(super) fn serve(bench: &LocalBench, wire: UnixStream, stop: UnixStream) -> Left {
+pub(super) fn serve(bench: &LocalBench, wire: &UnixStream, stop: UnixStream) -> Left {
     let looks = Arc::new(Looks::default());
     let (stopped, watched, seen) = (bench.another(), bench.another(), Arc::clone(&looks));
     let lines = [
@@ -47,7 +47,7 @@ pub(super) fn serve(bench: &LocalBench, wire: UnixStream, stop: UnixStream) -> L
     if let Some(error) = lines.into_iter().flatten().next() {
         return Left::Failed(format!("no thread for STOP and for what holds light on: {error}"));
     }
-    let left = answer(bench, &wire, &looks);
+    let left = answer(bench, wire, &looks);
     looks.is_over.store(true, Ordering::SeqCst);
     left
 }

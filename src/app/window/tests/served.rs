@@ -16,7 +16,7 @@ fn served(bench: &LocalBench) -> (UnixStream, UnixStream, Stage<Left>) {
     let ((wire, of_window), (stop, stop_of_window)) =
         (UnixStream::pair().unwrap(), UnixStream::pair().unwrap());
     let bench = bench.another();
-    let serving = spawn("serve", move || serve(&bench, wire, stop)).unwrap();
+    let serving = spawn("serve", move || serve(&bench, &wire, stop)).unwrap();
     (of_window, stop_of_window, serving)
 }
 
