@@ -126,7 +126,7 @@ fn choose_dye(ui: &mut Ui, status: &BenchStatus, form: &mut ColorsForm) {
                 }
             }
         });
-        list.response.labelled_by(label.id);
+        list.response.labelled_by(label.id).on_hover_text("The dye whose share of light is measured");
     });
     let Some(dye) = &form.dye else { return };
     let in_use = status.colors.in_use.iter().find(|in_use| in_use.dye == *dye);
@@ -140,7 +140,8 @@ fn mark(ui: &mut Ui, form: &mut ColorsForm) {
     ui.label(RichText::new("2. Regions").strong());
     ui.label("Drag with Ctrl in the image of camera R around places with only this dye.");
     ui.horizontal(|ui| {
-        ui.radio_value(&mut form.marks, Marks::Dye, "Mark the dye");
+        ui.radio_value(&mut form.marks, Marks::Dye, "Mark the dye")
+            .on_hover_text("Rectangles hold this dye and no other, 2 pixels away from others");
         ui.radio_value(&mut form.marks, Marks::Background, "Mark background").on_hover_text(
             "A region without any dye, if you like: evenly stained places need it. Without it, what surrounds the \
              dye within its regions counts as background",
@@ -152,7 +153,9 @@ fn mark(ui: &mut Ui, form: &mut ColorsForm) {
     ui.horizontal(|ui| {
         ui.label(format!("{regions} {word} of the dye; background: {background}"));
         let has_marks = form.marked != MarkedRegions::default();
-        if ui.add_enabled(has_marks, Button::new("Clear regions")).clicked() {
+        let clear = ui.add_enabled(has_marks, Button::new("Clear regions"));
+        let clear = clear.on_hover_text("Forget all regions, that of the background too");
+        if clear.on_disabled_hover_text("Nothing is marked").clicked() {
             form.marked = MarkedRegions::default();
         }
     });
