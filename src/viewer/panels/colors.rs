@@ -150,7 +150,7 @@ fn mark(ui: &mut Ui, form: &mut ColorsForm) {
     let background = if form.marked.background.is_some() { "one region" } else { "the surroundings" };
     let regions = form.marked.dye.len();
     let word = if regions == 1 { "region" } else { "regions" };
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         ui.label(format!("{regions} {word} of the dye; background: {background}"));
         let has_marks = form.marked != MarkedRegions::default();
         let clear = ui.add_enabled(has_marks, Button::new("Clear regions"));
